@@ -354,6 +354,7 @@ def _write_pictures(picture: Composite, options: CompositeOptions, rate: float) 
     metadata["roomlight:intrinsics"] = f"{k.fx:.9g} {k.fy:.9g} {k.cx:.9g} {k.cy:.9g}"
     if abs(k.fy / k.fx - 1) > _OBLONG:
         metadata["pixelAspectRatio"] = round(k.fy / k.fx, 4)
+    metadata["roomlight:exposure"] = f"{frame.exposure:.9g}"
     metadata["roomlight:camera_to_world"] = " ".join(f"{value:.9g}" for value in pose)
     if frame.timestamp_s is not None:
         metadata["roomlight:timestamp_s"] = f"{frame.timestamp_s:.6f}"

@@ -57,6 +57,7 @@ class Frame:
         auto_exposed: the camera chose exposure and white balance of this image, and nothing states them: the image is
             in a unit of its own, and a session fits it to what it has seen (`roomlight.engine.surface.drift`).
         depth_estimated: the depth is a network's (`roomlight.monocular`): surfaces may lean by tens of degrees.
+        exposure: of the recorded image, relative to the reference exposure: `image` was divided by it.
 
     Raises:
         FrameError: parts do not fit each other, radiance is negative or not finite, the pose is not rigid, or the depth
@@ -81,6 +82,7 @@ class Frame:
     seen: Bool[np.ndarray, "h w"] | None = None
     auto_exposed: bool = False
     depth_estimated: bool = False
+    exposure: float = 1.0
 
     def __post_init__(self) -> None:
         name = self.source or f"frame {self.index}"
@@ -94,6 +96,9 @@ class Frame:
             if not is_finite(self.timestamp_s):
                 raise FrameError(f"{name}: timestamp_s is {self.timestamp_s!r}, not a number of seconds")
             object.__setattr__(self, "timestamp_s", float(self.timestamp_s))
+        if not is_finite(self.exposure) or self.exposure <= 0:
+            raise FrameError(f"{name}: the exposure is {self.exposure!r}; relative to the reference it is above 0")
+        object.__setattr__(self, "exposure", float(self.exposure))
         check_type(self.intrinsics, Intrinsics, f"{name}: intrinsics", FrameError)
         if not _is_float(self.image, 3) or self.image.shape[2] != 3:
             raise FrameError(
@@ -152,6 +157,11 @@ class Frame:
         from roomlight.images import encode_png  # which imports this module
 
         return encode_png(linear_to_srgb8(self.image))
+
+    @property
+    def recorded(self) -> Float32[np.ndarray, "h w 3"]:
+        """The image in its own exposure, linear: 1 is white in the recording."""
+        return self.image if self.exposure == 1.0 else self.image * np.float32(self.exposure)
 
     def scaled(self, factor: float) -> "Frame":
         """Return the frame with depth and the camera's place in another unit: `factor` of it are the present one."""

@@ -53,14 +53,15 @@ def test_headers_of_a_recording_with_times_have_timecode_and_depth_is_channel_z(
     frame = ROOM.frame(camera_at((0.2, 1.4, 1.4), 0.0, -30), width=64, height=48)
     k = dataclasses.replace(frame.intrinsics, fx=frame.intrinsics.fx / 2)
     timed = [dataclasses.replace(frame, intrinsics=k, index=index, timestamp_s=0.1 * index) for index in range(4)]
-    recording, out = write_capture(tmp_path / "timed", timed), tmp_path / "out"
+    recording, out = write_capture(tmp_path / "whole", timed), tmp_path / "out"
+    recording = edited_copy(recording, tmp_path / "timed", lambda index: index["frames"][3].update(exposure=0.5))
     options = ("--picture", "exr", "--layers", "--online", "--every", "3")
     assert roomlight("composite", recording, *BALL, *FAST, *options, "--out", out).code == 0
     for name in ("000003.exr", "000003/objects.exr", "000003/shadow.exr", "000003/depth.exr"):
         header = OpenEXR.File(str(out / name)).header()
         assert (header["framesPerSecond"], header["timeCode"].frame) == (10, 3)
         assert (header["roomlight:source"], header["roomlight:timestamp_s"]) == ("000003.jpg", "0.300000")
-        assert header["pixelAspectRatio"] == 2
+        assert (header["pixelAspectRatio"], header["roomlight:exposure"]) == (2, "0.5")
         assert header["roomlight:intrinsics"] == f"{k.fx:.9g} {k.fy:.9g} {k.cx:g} {k.cy:g}"
         matrix = np.array(header["roomlight:camera_to_world"].split(), np.float64).reshape(4, 4)
         np.testing.assert_allclose(matrix, frame.camera_to_world, atol=1e-8)

@@ -102,7 +102,8 @@ def test_lights_finer_than_the_sent_pixels_keep_the_exposure(frame):
     lines[::8] = True
     image = np.where(lines[..., None], np.ones(3, np.float32), np.float32(0.2))
     fine = replace(frame, image=image, clipped=lines, intrinsics=frame.intrinsics.resized(1280, 960))
-    assert parse(pack_frame(fine, colour="png")).header.exposure == 1
+    for exposure in (1, 0.5):
+        assert parse(pack_frame(replace(fine, exposure=exposure), colour="png")).header.exposure == exposure
 
 
 def camera_frame(**changes) -> CameraFrame:

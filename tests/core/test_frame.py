@@ -62,6 +62,7 @@ def test_mismatched_parts_are_refused_with_the_frames_name(parts, message):
         ({"timestamp_s": "soon"}, "timestamp_s is 'soon', not a number of seconds"),
         ({"timestamp_s": np.nan}, "timestamp_s is nan, not a number of seconds"),
         ({"image": torch.zeros(120, 160, 3)}, r"the image is of the type Tensor \(pass its \.numpy\(\)\), not linear"),
+        ({"exposure": 0}, "the exposure is 0; relative to the reference it is above 0"),
         ({"clipped": None}, "clipping mask is None; it must be bool"),
         ({"guessed": [[0.0]]}, "estimated luminance, of the type list, must fit the image"),
         ({"intrinsics": None}, "intrinsics is of the type NoneType; it must be Intrinsics"),

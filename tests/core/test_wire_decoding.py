@@ -188,7 +188,9 @@ def test_exposure_drifts_where_nothing_states_it():
 
 def test_radiance_is_relative_to_the_reference_exposure():
     plain = decode_frame(message(), 0).image
-    np.testing.assert_allclose(decode_frame(message(exposure=4.0), 0).image, plain / 4, rtol=1e-6)
+    shorter = decode_frame(message(exposure=4.0), 0)
+    np.testing.assert_allclose(shorter.image, plain / 4, rtol=1e-6)
+    np.testing.assert_allclose(shorter.recorded, plain, rtol=1e-6)
     np.testing.assert_array_equal(decode_frame(message(exposure=4.0), 0, reference_exposure=4.0).image, plain)
 
 

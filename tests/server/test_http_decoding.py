@@ -45,7 +45,7 @@ def jpeg(width=48, height=36):
 def test_a_frame_of_a_decoder_process_is_the_decoded_frame(masked):
     seen = np.indices((36, 48)).sum(0) % 5 > 0
     message = parse(pack_frame(replace(box_shot(0), seen=seen if masked else None), colour="png"), FrameLimits())
-    decoded = decode_to_box(message, 3, 1.0, 1, (40, 30))
+    decoded = decode_to_box(message, 3, 2.0, 1, (40, 30))
     assert (decoded.seen is not None) == masked
     text, parts = decode_worker.pack_frame(decoded)
     received = decode_worker.unpack_frame(text, b"".join(parts), message, 3)

@@ -102,7 +102,7 @@ class RawFrame:
     """One record as stored: picture decoded to linear RGB, depth in metres, pose in the file's conventions.
 
     A record of a capture without depth has no `depth_name`. `stated` is the camera whose lens was removed, if one was.
-    `auto_exposed` is as in `Frame`.
+    `auto_exposed` and `exposure` are as in `Frame`.
     """
 
     name: str
@@ -114,6 +114,7 @@ class RawFrame:
     confidence: UInt8[np.ndarray, "ch cw"] | None = None
     stated: Intrinsics | None = None
     auto_exposed: bool = True
+    exposure: float = 1.0
 
 
 ReadRecord = Callable[[int], RawFrame]
@@ -410,6 +411,7 @@ class Capture:
                 source=raw.name,
                 seen=picture.seen,
                 auto_exposed=raw.auto_exposed,
+                exposure=raw.exposure,
             )
             self._take_notes(replace(raw, picture=picture), frame)
             if stored:

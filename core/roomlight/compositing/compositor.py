@@ -7,8 +7,9 @@
         picture.image                                          # 8-bit sRGB with the objects
         picture.objects, picture.alpha, picture.shadow         # for those who composite elsewhere
 
-Objects are lit in the unit of the session's light and put into the frame in the frame's own, which differs from it by
-the gain of a frame whose exposure drifts. Light of the caller is in the frame's unit. World metres, y up.
+Objects are lit in the unit of the session's light and put into the frame as it was recorded, which differs from it by
+`Frame.exposure` and by the gain of a frame whose exposure drifts. Light of the caller is in the unit of `Frame.image`.
+World metres, y up.
 """
 
 from collections.abc import Sequence
@@ -208,13 +209,14 @@ class Compositor:
         """
         self._step(frame, is_drawn=False)
 
-    def _step(self, frame: Frame, *, is_drawn: bool) -> Composite:
-        check_type(frame, Frame, "frame", FrameError)
+    def _step(self, given: Frame, *, is_drawn: bool) -> Composite:
+        check_type(given, Frame, "frame", FrameError)
         if self._closed:
             raise SceneError("the compositor is closed: make a new one, or close it after its last frame")
         if self._session.frames == 0:
             raise SceneError("the session has no light and no geometry yet: push a frame first")
         clock = StageClock()
+        frame = given if given.exposure == 1.0 else replace(given, image=given.recorded)
         with clock.stage("place"):
             self._place_waiting(frame)
             self.geometry.update(self._session, latest=False)
@@ -228,10 +230,10 @@ class Compositor:
             depth_m = self._depth.push(frame, max_width=DEPTH_COLUMNS[self.quality])
         with clock.stage("combine"):
             image = encode_srgb8(frame.image)
-        self._first, self._before = self._first or frame, frame
+        self._first, self._before = self._first or given, given
         bare = Composite(
             image=image,
-            frame=frame,
+            frame=given,
             stage_ms=clock.wall_ms,
             stage_cpu_ms=clock.cpu_ms,
             waiting=self.waiting,
@@ -353,9 +355,9 @@ class Compositor:
         crop: Crop,
         shadow: Float32[np.ndarray, "ch cw 3"],
     ) -> RenderedObjects:
-        """Return the objects in the frame's unit; glass shows the shadow of the crop."""
-        gain = NO_GAIN if self._probes.given else self._session.gain_of(frame.index)
-        behind = None
+        """Return the objects in the recorded frame's unit; glass shows the shadow of the crop."""
+        red, green, blue = NO_GAIN if self._probes.given else self._session.gain_of(frame.index)
+        gain, behind = (red / frame.exposure, green / frame.exposure, blue / frame.exposure), None
         if (objects.materials.transmission > 0).any():
             seen = with_gain(frame.image, gain)  # a copy
             seen[crop.slices] *= shadow

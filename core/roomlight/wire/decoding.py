@@ -52,6 +52,7 @@ def decode_frame(
             source=f"frame {index}",
             auto_exposed=is_auto_exposed(message.header),
             depth_estimated=message.depth_estimated,
+            exposure=ratio,
         )
     except RoomLightError as error:
         raise bad_frame("colour", message.header.colour.encoding, str(error)) from error

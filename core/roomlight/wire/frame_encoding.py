@@ -237,10 +237,12 @@ def _millimetres(depth_m: Float[np.ndarray, "h w"]) -> Shaped[np.ndarray, "h w"]
 
 
 def _exposure(frame: Frame) -> float:
-    """Return the exposure at which what the sensor clipped is white in an 8-bit image of this radiance.
+    """Return the frame's exposure; without, that at which what the sensor clipped is white in an 8-bit image.
 
     It is 1 where that is so already, and in radiance without clipped pixels (an HDR recording), whose values above 1.0
     are cut off, as a phone with the reference exposure would do.
     """
+    if frame.exposure != 1.0:
+        return frame.exposure
     white = float(np.median(frame.image[frame.clipped].max(axis=-1))) if frame.clipped.any() else 1.0
     return 1.0 if _LEAST_WHITE <= white <= 1 else 1 / min(max(white, 1e-6), 1e6)

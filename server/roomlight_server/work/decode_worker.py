@@ -66,6 +66,7 @@ def pack_frame(frame: Frame) -> Result:
         "image": frame.image.shape[:2],
         "depth": frame.depth_m.shape,
         "masked": frame.seen is not None,
+        "exposure": frame.exposure,
         "intrinsics": [k.fx, k.fy, k.cx, k.cy, k.width, k.height],
     }
     image, depth_m = (values.astype("<f4", copy=False) for values in (frame.image, frame.depth_m))
@@ -96,6 +97,7 @@ def unpack_frame(text: dict[str, Any], data: bytes | memoryview, message: FrameM
         source=f"frame {index}",
         auto_exposed=is_auto_exposed(message.header),
         depth_estimated=message.depth_estimated,
+        exposure=text["exposure"],
     )
 
 

@@ -142,6 +142,19 @@ def test_objects_darken_at_once_with_a_frame_of_less_exposure(material):
     assert again.gain_of(1) == pytest.approx((2.5,) * 3, rel=0.05)
 
 
+@pytest.mark.parametrize("light", [None, np.full((16, 32, 3), 0.7, np.float32)])
+@pytest.mark.parametrize("material", [diffuse((0.5, 0.5, 0.5)), glass()])
+def test_a_stated_exposure_is_that_of_plate_and_objects(session, material, light):
+    ball = replace(BALL, geometry=sphere(0.2, material))
+    plain, darker = (
+        composite(session, replace(view(), exposure=exposure), [ball], quality="preview", light=light)
+        for exposure in (1.0, 0.5)
+    )
+    np.testing.assert_allclose(darker.radiance, 0.5 * plain.radiance, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(darker.objects, 0.5 * plain.objects, rtol=1e-3, atol=1e-3)
+    assert np.abs(darker.image.astype(int) - linear_to_srgb8(darker.radiance)).max() <= 1
+
+
 def test_a_sphere_stands_casts_a_shadow_and_has_its_depth(session):
     frame = view()
     made = composite(session, frame, [BALL], quality="preview")

@@ -136,6 +136,7 @@ class NativeReader:
             pose=pose,
             confidence=confidence,
             auto_exposed=entry.get("exposure") is None,
+            exposure=exposure,
         )
 
 

@@ -18,7 +18,7 @@ from roomlight.threads import parallel_for
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Composite:
-    """A frame with objects, and its layers: image = frame x shadow x (1 - alpha) + objects.
+    """A frame with objects, and its layers: image = frame.recorded x shadow x (1 - alpha) + objects.
 
     In memory the shadow has the pixels of `crop` and the other layers those of `object_crop`; the properties are of
     the frame's size. Without crops and their layers it is a frame that no object changes.
@@ -83,7 +83,7 @@ class Composite:
         share = self.shadow * (1 - self.alpha[..., None])
         if self.frame.seen is not None:
             share *= self.frame.seen[..., None]
-        return self.frame.image * share + self.objects
+        return self.frame.recorded * share + self.objects
 
     def _repr_png_(self) -> bytes:
         """Return the picture for a notebook."""
