@@ -3,13 +3,14 @@
     roomlight replay my-capture --out light
     blender --background SCENE.blend --python examples/blender_replay.py -- light/probe-00 [--out BLEND]
 
-The world of the scene becomes the replay's panoramas: a keyframe for each, held until the next. The scene gets the
-replay's frames and rate. Blender's world has z up; scenes with y up are usually imported as (x, y, z) to (x, -z, y),
-and then the panoramas need no rotation. Blender's own Python runs this script, so it does not import roomlight. Output:
-the scene, lit (out/blender_replay.blend).
+The world of the scene becomes the replay's panoramas: a keyframe for each, held until the next, as bright as the
+recording shows the room. The scene gets the replay's frames and rate. Blender's world has z up; scenes with y up are
+usually imported as (x, y, z) to (x, -z, y), and then the panoramas need no rotation. Blender's own Python runs this
+script, so it does not import roomlight. Output: the scene, lit (out/blender_replay.blend).
 """
 
 import argparse
+import json
 import re
 import sys
 from pathlib import Path
@@ -49,7 +50,13 @@ def main() -> None:
     user = environment.image_user
     user.use_auto_refresh = True
     user.frame_start, user.frame_duration = first, 1  # one image, whose number is 1 + the offset
+    report, strength = args.panoramas.parent / "report.json", background.inputs["Strength"]
+    frames = json.loads(report.read_text())["frames"] if report.is_file() else []
+    gains = {frame["index"]: frame["gain"][1] for frame in frames}  # of green
     for number in files:
+        if number in gains:
+            strength.default_value = 1 / gains[number]
+            strength.keyframe_insert("default_value", frame=number)
         user.frame_offset = number - 1
         user.keyframe_insert("frame_offset", frame=number)
     action = tree.animation_data.action

@@ -355,6 +355,7 @@ def _write_pictures(picture: Composite, options: CompositeOptions, rate: float) 
     if abs(k.fy / k.fx - 1) > _OBLONG:
         metadata["pixelAspectRatio"] = round(k.fy / k.fx, 4)
     metadata["roomlight:exposure"] = f"{frame.exposure:.9g}"
+    metadata["roomlight:gain"] = " ".join(f"{value:.9g}" for value in picture.gain)
     metadata["roomlight:camera_to_world"] = " ".join(f"{value:.9g}" for value in pose)
     if frame.timestamp_s is not None:
         metadata["roomlight:timestamp_s"] = f"{frame.timestamp_s:.6f}"

@@ -62,6 +62,7 @@ def test_headers_of_a_recording_with_times_have_timecode_and_depth_is_channel_z(
         assert (header["framesPerSecond"], header["timeCode"].frame) == (10, 3)
         assert (header["roomlight:source"], header["roomlight:timestamp_s"]) == ("000003.jpg", "0.300000")
         assert (header["pixelAspectRatio"], header["roomlight:exposure"]) == (2, "0.5")
+        assert header["roomlight:gain"] == "2 2 2"
         assert header["roomlight:intrinsics"] == f"{k.fx:.9g} {k.fy:.9g} {k.cx:g} {k.cy:g}"
         matrix = np.array(header["roomlight:camera_to_world"].split(), np.float64).reshape(4, 4)
         np.testing.assert_allclose(matrix, frame.camera_to_world, atol=1e-8)

@@ -76,15 +76,18 @@ def test_panoramas_and_other_forms_are_those_of_the_session(capture, tmp_path, u
     assert json.loads((folder / "light.json").read_text())["use"] == use
 
 
-def test_the_sequence_has_timecode_in_every_file(capture, tmp_path):
+def test_the_sequence_has_timecode_and_gain_in_every_file(capture, tmp_path):
     """At ten frames a second the sixth record is half a second in, whatever was left out before it."""
-    replay(capture, tmp_path / "out", replace(ONE, capture=CaptureOptions(every=5)))
+    stated = edited_copy(capture, tmp_path / "stated", lambda index: index["frames"][5].update(exposure=0.5))
+    report = replay(stated, tmp_path / "out", replace(ONE, capture=CaptureOptions(every=5)))
+    assert [frame["gain"] for frame in report["frames"]] == [[1, 1, 1], [2, 2, 2]]
     for index, frame in ((0, 0), (5, 5)):
         header = OpenEXR.File(str(tmp_path / f"out/probe-00/light.{index:06d}.exr")).header()
         assert header["framesPerSecond"] == 10
         timecode = header["timeCode"]
         assert (timecode.hours, timecode.minutes, timecode.seconds, timecode.frame) == (0, 0, 0, frame)
         assert header["roomlight:use"] == "lighting"
+        assert header["roomlight:gain"] == {0: "1 1 1", 5: "2 2 2"}[index]
 
 
 def test_a_capture_without_times_runs_at_30_frames_a_second(tmp_path):

@@ -11,6 +11,7 @@ from typing import Final, TypeVar
 
 from roomlight.conventions import Position
 from roomlight.engine.session import FrameReport, SessionOptions
+from roomlight.engine.surface.drift import NO_GAIN
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.errors import FrameError, WireError
 from roomlight.frame import Frame
@@ -96,7 +97,8 @@ class RemoteSession:
             raise BadReplyError(f"frame {frame.index} is {result.status}: another program uses this session")
         self._first = self._first or frame
         coverage = tuple(result.coverage.get(name, 0.0) for name in self._names)
-        return FrameReport(frame.index, dict(result.stage_ms), bool(result.keyframe), coverage)
+        red, green, blue = result.gain or NO_GAIN
+        return FrameReport(frame.index, dict(result.stage_ms), bool(result.keyframe), coverage, (red, green, blue))
 
     def lights(self) -> Sequence[Light]:
         """Return the light at every tracked position, as the engine holds it."""

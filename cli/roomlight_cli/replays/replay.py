@@ -210,7 +210,10 @@ class _Run:
             self._add_between(between, mixed)
         self._index, self._lights = frame.index, lights
         coverage = [light.coverage for light in lights]
-        notes = [{"roomlight:coverage": f"{share:.4f}"} for share in coverage]
+        red, green, blue = (float(f"{value / frame.exposure:.6g}") for value in report.gain)
+        report = replace(report, gain=(red, green, blue))  # from the recorded frame, not from the reference exposure
+        gain = {"roomlight:gain": f"{red:g} {green:g} {blue:g}"}
+        notes = [{"roomlight:coverage": f"{share:.4f}"} | gain for share in coverage]
         self._write(frame.index, panoramas_of(lights, self._options.use), notes)
         reflections = panoramas_of(lights, "reflection")
         self.pictures.add(frame, reflections, coverage, [light.observed for light in lights])
@@ -269,6 +272,7 @@ def _report(
                 "index": r.index,
                 "keyframe": r.keyframe,
                 "coverage": [round(c, 4) for c in r.coverage],
+                "gain": list(r.gain),
                 "stage_ms": {k: round(v, 2) for k, v in r.stage_ms.items()},
             }
             for r in reports

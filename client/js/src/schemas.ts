@@ -250,6 +250,8 @@ export interface components {
                 readonly [key: string]: number;
             };
             /** @default null */
+            readonly gain?: readonly [number, number, number] | null | undefined;
+            /** @default null */
             readonly durable_index?: number | null | undefined;
             /** @default null */
             readonly epoch?: number | null | undefined;
@@ -320,6 +322,7 @@ export interface components {
          *         depth_estimated: whether the server estimated the frame's depth.
          *         stage_ms: processing time of each stage.
          *         coverage: coverage of each named probe after the last processed frame.
+         *         gain: factors of red, green and blue by which the frame's radiance becomes that of the light.
          *         durable_index: frames up to this index are on the server's disk and survive its restart; null: none are.
          *         epoch: number of the server that answered among all servers that have owned the session, from 1; null: servers
          *             share no state directory. It never decreases.
@@ -338,6 +341,7 @@ export interface components {
             readonly coverage: {
                 readonly [key: string]: number;
             };
+            readonly gain?: readonly [number, number, number] | null | undefined;
             readonly durable_index?: number | null | undefined;
             readonly epoch?: number | null | undefined;
         };

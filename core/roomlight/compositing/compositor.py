@@ -67,7 +67,7 @@ from roomlight.conventions import srgb8_to_linear
 from roomlight.depth import complete_depth
 from roomlight.engine.networks.clipping import white_of
 from roomlight.engine.session import Session
-from roomlight.engine.surface.drift import NO_GAIN, with_gain
+from roomlight.engine.surface.drift import NO_GAIN, Gain, with_gain
 from roomlight.errors import FrameError, OptionError, SceneError
 from roomlight.frame import CLIPPED_SRGB8, Frame
 from roomlight.rules import check_type
@@ -234,6 +234,7 @@ class Compositor:
         bare = Composite(
             image=image,
             frame=given,
+            gain=self._gain(given),
             stage_ms=clock.wall_ms,
             stage_cpu_ms=clock.cpu_ms,
             waiting=self.waiting,
@@ -347,6 +348,11 @@ class Compositor:
         pairs = zip(self._placed, matrices, strict=True)
         return TracedObjects([placed.object.geometry.transformed(matrix) for placed, matrix in pairs])
 
+    def _gain(self, frame: Frame) -> Gain:
+        """Return the factors by which the recorded frame's radiance becomes that of the light."""
+        red, green, blue = NO_GAIN if self._probes.given else self._session.gain_of(frame.index)
+        return red / frame.exposure, green / frame.exposure, blue / frame.exposure
+
     def _render(
         self,
         frame: Frame,
@@ -356,8 +362,7 @@ class Compositor:
         shadow: Float32[np.ndarray, "ch cw 3"],
     ) -> RenderedObjects:
         """Return the objects in the recorded frame's unit; glass shows the shadow of the crop."""
-        red, green, blue = NO_GAIN if self._probes.given else self._session.gain_of(frame.index)
-        gain, behind = (red / frame.exposure, green / frame.exposure, blue / frame.exposure), None
+        gain, behind = self._gain(frame), None
         if (objects.materials.transmission > 0).any():
             seen = with_gain(frame.image, gain)  # a copy
             seen[crop.slices] *= shadow

@@ -193,6 +193,7 @@ class FrameResult(WireModel):
         depth_estimated: whether the server estimated the frame's depth.
         stage_ms: processing time of each stage.
         coverage: coverage of each named probe after the last processed frame.
+        gain: factors of red, green and blue by which the frame's radiance becomes that of the light.
         durable_index: frames up to this index are on the server's disk and survive its restart; null: none are.
         epoch: number of the server that answered among all servers that have owned the session, from 1; null: servers
             share no state directory. It never decreases.
@@ -205,6 +206,7 @@ class FrameResult(WireModel):
     depth_estimated: bool = False
     stage_ms: dict[str, float] = Field(default_factory=dict)
     coverage: dict[str, float] = Field(default_factory=dict)
+    gain: Annotated[list[FiniteNumber], Field(min_length=3, max_length=3)] | None = None
     durable_index: int | None = None
     epoch: int | None = None
 

@@ -267,6 +267,7 @@ class LiveSession(EngineAccess):
             depth_estimated=depth_estimated,
             stage_ms={stage: round(ms, 2) for stage, ms in report.stage_ms.items()},
             coverage=self.lighting.coverage,
+            gain=list(report.gain),
             durable_index=self.durable_index,
             epoch=None if self.lease is None else self.lease.epoch,
         )

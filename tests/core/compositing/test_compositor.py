@@ -150,6 +150,7 @@ def test_a_stated_exposure_is_that_of_plate_and_objects(session, material, light
         composite(session, replace(view(), exposure=exposure), [ball], quality="preview", light=light)
         for exposure in (1.0, 0.5)
     )
+    assert (plain.gain, darker.gain) == ((1, 1, 1), (2, 2, 2))
     np.testing.assert_allclose(darker.radiance, 0.5 * plain.radiance, rtol=1e-3, atol=1e-3)
     np.testing.assert_allclose(darker.objects, 0.5 * plain.objects, rtol=1e-3, atol=1e-3)
     assert np.abs(darker.image.astype(int) - linear_to_srgb8(darker.radiance)).max() <= 1

@@ -34,6 +34,7 @@ class Composite:
         samples: light paths that each pixel of the objects got; 0 for a preview.
         visible: share that real things leave of each object in the picture, by its index in the scene.
         placements: where the objects that have a place stand, before their motion, by index in the scene.
+        gain: factors of red, green and blue by which the recorded frame's radiance becomes that of the light.
     """
 
     image: UInt8[np.ndarray, "h w 3"]
@@ -51,6 +52,7 @@ class Composite:
     samples: int = 0
     visible: dict[int, float] = field(default_factory=dict[int, float])
     placements: dict[int, Placement] = field(default_factory=dict[int, Placement])
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     @cached_property
     def objects(self) -> Float32[np.ndarray, "h w 3"]:
