@@ -17,6 +17,7 @@ from roomlight.compositing.picture.layer_files import (
     PictureFormat,
     encode_layers,
     encode_picture,
+    layer_path,
 )
 from roomlight.compositing.picture.layers import Composite
 from roomlight.compositing.placement.places import Placement
@@ -46,7 +47,7 @@ _PLACES: Final = {
     "ceiling": "hangs from a ceiling,",
 }
 _STEM: Final = "[0-9]" * 6
-_ENDINGS: Final = tuple(f".{ending}" for ending in PICTURE_ENDINGS.values())
+_PICTURES: Final = tuple(f"{_STEM}.{ending}" for ending in PICTURE_ENDINGS.values())
 
 
 @dataclass(frozen=True)
@@ -157,12 +158,12 @@ class CompositeOptions:
         if self.overwrite or not path.exists():
             return
         if not self.is_film and (self.first_frame or self.last_frame is not None):
-            if made := self.numbers(*_ENDINGS):
+            if made := self.numbers():
                 raise OutputError(
                     f"{path}: has pictures of these frames, {made[0]} to {made[-1]}; give others by --first-frame and "
                     "--last-frame, or replace them with --overwrite"
                 )
-        elif not self.is_film and (made := self.numbers(*_ENDINGS)):
+        elif not self.is_film and (made := self.numbers()):
             raise OutputError(
                 f"{path}: has pictures {made[0]} to {made[-1]}; go on with --first-frame {int(made[-1]) + 1}, choose "
                 "another --out, or replace them with --overwrite"
@@ -170,9 +171,9 @@ class CompositeOptions:
         elif path.is_file() or any(path.iterdir()):
             raise OutputError(f"{path}: exists already; choose another --out, or replace it with --overwrite")
 
-    def numbers(self, *endings: str) -> list[str]:
-        """Return the numbers, as they are written, of what is in `out` in place of the frames to write."""
-        names = {path.stem for ending in endings for path in self.out.glob(_STEM + ending)}
+    def numbers(self, *patterns: str) -> list[str]:
+        """Return the numbers, as they are written, of files in `out` (pictures) in place of the frames to write."""
+        names = {path.stem[-6:] for pattern in patterns or _PICTURES for path in self.out.glob(pattern)}
         return sorted(name for name in names if self.first_frame <= int(name) <= self.last)
 
     @property
@@ -341,9 +342,9 @@ def _clear(options: CompositeOptions, frame: Frame, recording: Path) -> None:
             return
     except OSError as error:
         raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
-    for number in options.numbers("", *_ENDINGS):
-        files = *(number + ending for ending in _ENDINGS), *(f"{number}/{layer}" for layer in LAYER_FILES)
-        remove_outputs(out, files, folders=number)
+    for pattern in (*_PICTURES, *(layer_path(layer, _STEM) for layer in LAYER_FILES)):
+        files = (pattern.replace(_STEM, number) for number in options.numbers(pattern))
+        remove_outputs(out, files, folders=pattern.partition("/")[0])
 
 
 def _write_pictures(picture: Composite, options: CompositeOptions, rate: float) -> None:
@@ -363,5 +364,5 @@ def _write_pictures(picture: Composite, options: CompositeOptions, rate: float) 
     name = f"{index:06d}.{PICTURE_ENDINGS[form]}"
     if options.layers:
         for layer, data in encode_layers(picture, metadata=metadata).items():
-            write_atomic(options.out / f"{index:06d}" / layer, data)
+            write_atomic(options.out / layer_path(layer, f"{index:06d}"), data)
     write_atomic(options.out / name, encode_picture(picture, form, metadata=metadata))  # last: its frame is whole

@@ -41,10 +41,11 @@ def test_pictures_and_layers_are_written(roomlight, capture, tmp_path):
     assert re.search(r"^object 'sphere' stands on a surface 1\.\d m away\n3 frames; pictures:", done.out, re.M)
     names = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*.*")}
     layers = ("image.png", "objects.exr", "alpha.png", "shadow.exr", "depth.exr", "object_id.exr")
-    folders = ("000000", "000001", "000002")
-    assert names == {f"{folder}.png" for folder in folders} | {f"{f}/{name}" for f in folders for name in layers}
-    assert (picture(tmp_path / "out/000001.png") == picture(tmp_path / "out/000001/image.png")).all()
-    alpha = picture(tmp_path / "out/000000/alpha.png")
+    numbers = ("000000", "000001", "000002")
+    paths = ("{0}/{0}.{2}.{1}".format(*name.split("."), number) for name in layers for number in numbers)
+    assert names == {f"{number}.png" for number in numbers} | {*paths}
+    assert (picture(tmp_path / "out/000001.png") == picture(tmp_path / "out/image/image.000001.png")).all()
+    alpha = picture(tmp_path / "out/alpha/alpha.000000.png")
     assert alpha.dtype == np.uint16
     assert alpha.max() > 60_000
 
@@ -57,7 +58,7 @@ def test_headers_of_a_recording_with_times_have_timecode_and_depth_is_channel_z(
     recording = edited_copy(recording, tmp_path / "timed", lambda index: index["frames"][3].update(exposure=0.5))
     options = ("--picture", "exr", "--layers", "--online", "--every", "3")
     assert roomlight("composite", recording, *BALL, *FAST, *options, "--out", out).code == 0
-    for name in ("000003.exr", "000003/objects.exr", "000003/shadow.exr", "000003/depth.exr"):
+    for name in ("000003.exr", *(f"{layer}/{layer}.000003.exr" for layer in ("objects", "shadow", "depth"))):
         header = OpenEXR.File(str(out / name)).header()
         assert (header["framesPerSecond"], header["timeCode"].frame) == (10, 3)
         assert (header["roomlight:source"], header["roomlight:timestamp_s"]) == ("000003.jpg", "0.300000")
@@ -66,15 +67,15 @@ def test_headers_of_a_recording_with_times_have_timecode_and_depth_is_channel_z(
         assert header["roomlight:intrinsics"] == f"{k.fx:.9g} {k.fy:.9g} {k.cx:g} {k.cy:g}"
         matrix = np.array(header["roomlight:camera_to_world"].split(), np.float64).reshape(4, 4)
         np.testing.assert_allclose(matrix, frame.camera_to_world, atol=1e-8)
-    objects = OpenEXR.File(str(out / "000003/objects.exr"), separate_channels=True).channels()
-    alpha = picture(out / "000003/alpha.png") / 65535
+    objects = OpenEXR.File(str(out / "objects/objects.000003.exr"), separate_channels=True).channels()
+    alpha = picture(out / "alpha/alpha.000003.png") / 65535
     np.testing.assert_allclose(objects["A"].pixels, alpha, atol=5e-4)
     assert (objects["R"].pixels[alpha == 0] == 0).all()
-    channels = OpenEXR.File(str(out / "000003/depth.exr")).channels()
+    channels = OpenEXR.File(str(out / "depth/depth.000003.exr")).channels()
     assert list(channels) == ["Z"]
     assert channels["Z"].pixels.dtype == np.float32
     assert 1.0 < channels["Z"].pixels.max() < 3.0
-    numbers = OpenEXR.File(str(out / "000003/object_id.exr")).channels()["id"].pixels
+    numbers = OpenEXR.File(str(out / "object_id/object_id.000003.exr")).channels()["id"].pixels
     assert (numbers == np.where(channels["Z"].pixels > 0, 0, -1)).all()
 
 
@@ -93,10 +94,11 @@ def test_overwrite_leaves_no_picture_of_an_earlier_run(roomlight, capture, tmp_p
     out, command = tmp_path / "out", ("composite", capture, *BALL, *FAST, "--online", "--out", tmp_path / "out")
     assert roomlight(*command, "--layers", "--max-frames", "2").code == 0
     (out / "notes.txt").write_text("held")
-    (out / "000001" / "notes.txt").write_text("held")
+    (out / "alpha" / "notes.txt").write_text("held")
     assert roomlight(*command, "--overwrite", "--picture", "jpeg", "--max-frames", "1").code == 0
     left = {str(path.relative_to(out)) for path in out.rglob("*.*")}
-    assert left == {"000000.jpg", "notes.txt", "000001/notes.txt"}
+    assert left == {"000000.jpg", "notes.txt", "alpha/notes.txt"}
+    assert {path.name for path in out.iterdir()} == {"000000.jpg", "notes.txt", "alpha"}
     own = roomlight(*command[:-1], capture / "colour", "--overwrite", "--picture", "jpeg")
     assert "holds the recording's own pictures" in own.err
     assert len(list((capture / "colour").iterdir())) == 3

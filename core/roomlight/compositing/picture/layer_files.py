@@ -16,6 +16,12 @@ LAYER_FILES: Final = ("image.png", "objects.exr", "alpha.png", "shadow.exr", "de
 _JPEG_QUALITY: Final = 95
 
 
+def layer_path(layer: str, number: str) -> str:
+    """Return where a layer of a recording's frame is, a folder each: programs want a sequence's number at the end."""
+    name, ending = layer.split(".")
+    return f"{name}/{name}.{number}.{ending}"
+
+
 def encode_picture(
     made: Composite, picture_format: PictureFormat, *, metadata: Mapping[str, object] | None = None
 ) -> bytes:
