@@ -111,7 +111,7 @@ class CompositeOptions:
         out: A folder for pictures, or a film: a file that ends with .mp4.
         quality: preview for speed, final for noise-free pictures.
         picture: Format of the pictures; exr is linear. Default: png.
-        layers: Also write objects, alpha, shadow, depth and object_id of each frame apart.
+        layers: Also write frame, objects, alpha, shadow, depth and object_id of each frame apart.
         fps: Frames a second of the film. Default: the recording's, or as of 30 records a second.
         online: Light each frame by the frames up to it, as an app would, instead of the whole recording.
         first_frame: Write the pictures from this number on, as they would be among all; those before stay.

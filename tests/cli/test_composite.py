@@ -40,7 +40,7 @@ def test_pictures_and_layers_are_written(roomlight, capture, tmp_path):
     assert (done.code, done.err) == (0, "")
     assert re.search(r"^object 'sphere' stands on a surface 1\.\d m away\n3 frames; pictures:", done.out, re.M)
     names = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*.*")}
-    layers = ("image.png", "objects.exr", "alpha.png", "shadow.exr", "depth.exr", "object_id.exr")
+    layers = ("image.png", "frame.exr", "objects.exr", "alpha.png", "shadow.exr", "depth.exr", "object_id.exr")
     numbers = ("000000", "000001", "000002")
     paths = ("{0}/{0}.{2}.{1}".format(*name.split("."), number) for name in layers for number in numbers)
     assert names == {f"{number}.png" for number in numbers} | {*paths}
@@ -71,6 +71,12 @@ def test_headers_of_a_recording_with_times_have_timecode_and_depth_is_channel_z(
     alpha = picture(out / "alpha/alpha.000003.png") / 65535
     np.testing.assert_allclose(objects["A"].pixels, alpha, atol=5e-4)
     assert (objects["R"].pixels[alpha == 0] == 0).all()
+    whole, frame, shadow = (
+        OpenEXR.File(str(out / name)).channels()["RGB"].pixels.astype(np.float32)
+        for name in ("000003.exr", "frame/frame.000003.exr", "shadow/shadow.000003.exr")
+    )
+    linear = frame * shadow * (1 - alpha[..., None]) + np.dstack([objects[name].pixels for name in "RGB"])
+    np.testing.assert_allclose(whole, linear, rtol=2e-3, atol=1e-4)
     channels = OpenEXR.File(str(out / "depth/depth.000003.exr")).channels()
     assert list(channels) == ["Z"]
     assert channels["Z"].pixels.dtype == np.float32

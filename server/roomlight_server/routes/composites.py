@@ -26,9 +26,9 @@ POSES_HEADER: Final = "Roomlight-Poses"
 VISIBLE_HEADER: Final = "Roomlight-Visible"
 _OK: Final[dict[int | str, dict[str, Any]]] = {
     200: {
-        "description": "The picture in the media type of the format. `layers`: a zip of image.png, objects.exr, "
-        "alpha.png (16 bits), shadow.exr, depth.exr and object_id.exr; image = frame x shadow x (1 - alpha) + "
-        "objects, linear.",
+        "description": "The picture in the media type of the format. `layers`: a zip of image.png, frame.exr, "
+        "objects.exr, alpha.png (16 bits), shadow.exr, depth.exr and object_id.exr; "
+        "image = frame x shadow x (1 - alpha) + objects, linear.",
         "headers": {
             FRAME_HEADER: {"description": "Index of the frame", "schema": {"type": "integer"}},
             POSES_HEADER: {

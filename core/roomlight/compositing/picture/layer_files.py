@@ -12,7 +12,7 @@ from roomlight.images import encode_channel_exr, encode_exr, encode_png
 
 PictureFormat = Literal["png", "jpeg", "exr"]
 PICTURE_ENDINGS: Final[dict[PictureFormat, str]] = {"png": "png", "jpeg": "jpg", "exr": "exr"}
-LAYER_FILES: Final = ("image.png", "objects.exr", "alpha.png", "shadow.exr", "depth.exr", "object_id.exr")
+LAYER_FILES: Final = ("image.png", "frame.exr", "objects.exr", "alpha.png", "shadow.exr", "depth.exr", "object_id.exr")
 _JPEG_QUALITY: Final = 95
 
 
@@ -56,6 +56,7 @@ def encode_layers(made: Composite, *, metadata: Mapping[str, object] | None = No
     alpha = np.clip(made.alpha, 0, 1)
     layers = (
         encode_png(made.image),
+        encode_exr(made.plate, metadata=metadata),
         encode_exr(np.dstack([made.objects, alpha]), metadata=metadata),
         encode_png(np.rint(alpha * 65535).astype(np.uint16)),
         encode_exr(made.shadow, metadata=metadata),

@@ -18,7 +18,7 @@ from roomlight.threads import parallel_for
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Composite:
-    """A frame with objects, and its layers: image = frame.recorded x shadow x (1 - alpha) + objects.
+    """A frame with objects, and its layers: image = plate x shadow x (1 - alpha) + objects.
 
     In memory the shadow has the pixels of `crop` and the other layers those of `object_crop`; the properties are of
     the frame's size. Without crops and their layers it is a frame that no object changes.
@@ -79,13 +79,16 @@ class Composite:
         """Index of the object in the scene, also where real things hide it, -1 where there is none."""
         return self._whole(self.crop_object_id, self.object_crop, -1)
 
+    @property
+    def plate(self) -> Float32[np.ndarray, "h w 3"]:
+        """The frame as it was recorded, in linear radiance; 0 where it shows nothing."""
+        seen = self.frame.seen
+        return self.frame.recorded if seen is None else self.frame.recorded * seen[..., None]
+
     @cached_property
     def radiance(self) -> Float32[np.ndarray, "h w 3"]:
-        """The composite in linear radiance, unclipped, without added noise; of the frame, only what is seen."""
-        share = self.shadow * (1 - self.alpha[..., None])
-        if self.frame.seen is not None:
-            share *= self.frame.seen[..., None]
-        return self.frame.recorded * share + self.objects
+        """The composite in linear radiance, unclipped, without added noise."""
+        return self.plate * (self.shadow * (1 - self.alpha[..., None])) + self.objects
 
     def _repr_png_(self) -> bytes:
         """Return the picture for a notebook."""
