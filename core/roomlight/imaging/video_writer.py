@@ -77,16 +77,18 @@ class VideoWriter:
             raise OutputError(f"{self.path}: cannot be written ({error})") from error
 
     def __exit__(self, _: object, error: BaseException | None, __: object, /) -> None:
-        if self._container is None or self._stream is None:
+        container, self._container = self._container, None  # closed once: a second time its file is gone
+        if container is None or self._stream is None:
             return
         try:
             if error is None:
-                self._container.mux(self._stream.encode(None))
-            self._container.close()
+                container.mux(self._stream.encode(None))
+            container.close()
             if error is None:
                 self._temporary.replace(self.path)
         except OSError as problem:
-            raise OutputError(f"{self.path}: cannot be written ({problem})") from problem
+            if error is None:  # else that is the cause
+                raise OutputError(f"{self.path}: cannot be written ({problem})") from problem
         finally:
             with contextlib.suppress(OSError):  # the file may not exist, or its name be refused
                 self._temporary.unlink()

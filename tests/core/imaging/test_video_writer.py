@@ -1,3 +1,4 @@
+import resource
 from pathlib import Path
 
 import av
@@ -63,6 +64,22 @@ def test_an_old_video_stays_until_the_new_one_is_complete(tmp_path: Path) -> Non
     with pytest.raises(RuntimeError):
         write_video(path, picture(10), ends_with=RuntimeError())
     assert path.read_bytes() == b"old"
+
+
+def test_a_full_disk_is_told_as_such(tmp_path: Path) -> None:
+    """The film ends a second time because of the first error, as a replay's does."""
+    video, limits = VideoWriter(tmp_path / "a.mp4"), resource.getrlimit(resource.RLIMIT_FSIZE)
+    noise = np.random.default_rng(0).integers(0, 255, (480, 640, 3), np.uint8)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+    try:
+        with pytest.raises(OutputError, match="File too large") as full:
+            for _ in range(3):
+                video.write(noise)
+            video.__exit__(None, None, None)
+        video.__exit__(OutputError, full.value, None)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_makes_no_video_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
