@@ -72,9 +72,9 @@ def test_a_full_disk_is_told_as_such(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).integers(0, 255, (480, 640, 3), np.uint8)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
     try:
+        for _ in range(3):
+            video.write(noise)
         with pytest.raises(OutputError, match="File too large") as full:
-            for _ in range(3):
-                video.write(noise)
             video.__exit__(None, None, None)
         video.__exit__(OutputError, full.value, None)
     finally:
