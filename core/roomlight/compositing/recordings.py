@@ -112,6 +112,7 @@ def composite_capture(
     if not online and iter(frames) is frames:
         raise OptionError("capture is an iterator, which can be read once: give a list, or online=True")
     session = Session(options or SessionOptions())
+    session.most_gains = sys.maxsize  # the first frames are composited after the last was read
     compositor = Compositor(session, scene, quality=quality, seed=seed, light=light)
     return _composited(
         frames, compositor, session, online, first_frame, sys.maxsize if last_frame is None else last_frame

@@ -46,7 +46,7 @@ from roomlight.rules import check_type
 from roomlight.threads import parallel_for
 
 MOST_GAINS: Final = 10_000
-"""Frames whose gains are remembered: five minutes, 3 MB."""
+"""Frames whose gains are remembered, unless `Session.most_gains` says otherwise: five minutes, 3 MB."""
 _WARM_HEIGHT: Final = 16
 _WARM_POSITION: Final = (0.0, 0.0, -0.5)
 
@@ -121,6 +121,7 @@ class Session:
         self._left: tuple[RoomView, ...] = ()  # rooms that the camera was in before
         self._drift = Drift()
         self._gains: dict[int, Gain] = {}  # of the last frames, by index
+        self.most_gains = MOST_GAINS
         self._probes: dict[int, Probe] = {}  # by handle
         self._pending: dict[int, Position] = {}  # tracked before the first frame, by handle
         self._next_handle = 0
@@ -260,7 +261,7 @@ class Session:
     def _remember_gain(self) -> None:
         self._gains.pop(self._last_index, None)
         self._gains[self._last_index] = self._drift.gain or NO_GAIN
-        if len(self._gains) > MOST_GAINS:
+        if len(self._gains) > self.most_gains:
             del self._gains[next(iter(self._gains))]
 
     def gain_of(self, index: int) -> Gain:

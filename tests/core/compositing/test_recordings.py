@@ -39,6 +39,15 @@ def test_online_pictures_know_only_earlier_frames():
     assert (made(FRAMES, online=True)[0].image == first.image).all()
 
 
+def test_no_frame_of_a_long_recording_loses_its_gain(monkeypatch):
+    first = replace(FRAMES[0], auto_exposed=True)
+    frames = [replace(first, index=n, image=first.image * np.float32(share)) for n, share in enumerate((1, 0.4, 1, 1))]
+    gains = [picture.gain for picture in made(frames)]
+    assert gains[1][1] > 2 > gains[2][1]
+    monkeypatch.setattr("roomlight.engine.session.MOST_GAINS", 1)
+    assert [picture.gain for picture in made(frames)] == gains
+
+
 def test_a_room_that_the_camera_leaves_keeps_its_surfaces():
     turned = [ROOM.frame(camera_at((0.2, 1.4, 1.4), 60.0, -30), index=3, width=64, height=48)]
     away = np.eye(4)
