@@ -24,7 +24,7 @@ from roomlight.captures import Capture, SkippedFrame, open_capture
 from roomlight.conventions import Position
 from roomlight.engine.session import FrameReport, Session
 from roomlight.errors import CaptureError, FrameError
-from roomlight.files import write_atomic, write_json
+from roomlight.files import check_writable, write_atomic, write_json
 from roomlight.frame import Frame
 from roomlight.images import write_exr
 from roomlight.imaging.exr import sequence_metadata
@@ -38,7 +38,7 @@ from roomlight_cli.console import counted
 from roomlight_cli.replays.inserted_spheres import printed
 from roomlight_cli.replays.pictures import PicturesState, ReplayPictures, video_rate
 from roomlight_cli.replays.remote_session import RemoteSession
-from roomlight_cli.replays.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign
+from roomlight_cli.replays.replay_folder import INTENT, REPORT, claim, describe_intent, fingerprint, refuse_foreign
 from roomlight_cli.replays.replay_options import ReplayOptions
 from roomlight_cli.replays.saved_replay import FOLDER, ReplayState, forget_replay, is_due, load_replay, save_replay
 from roomlight_client import Client, RecoveryEvent
@@ -103,6 +103,7 @@ def _replay(
     session = remote or Session(options.session)
     intent = describe_intent(path, session.model, options)
     refuse_foreign(out, capture.path, intent, overwrite=options.overwrite)
+    check_writable(out / INTENT)
     inputs = fingerprint(capture.path, out, options)["inputs"]
     stopped = remote is None and not options.overwrite and not (out / REPORT).exists()
     saved = load_replay(out, inputs, options.session) if stopped else None
