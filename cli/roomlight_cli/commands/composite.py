@@ -20,7 +20,7 @@ def composite(
     Example: roomlight composite my-capture --object sphere --material mirror --pixel 320,260 --out film.mp4
 
     Args:
-        capture: A recorded capture: a folder, a Record3D .r3d file, or a video.
+        capture: A recorded capture: a folder or its zip, a file (.r3d, .sens, .bag, .mcap), or a video.
         objects: Which objects.
         options: What to write.
         light: How to estimate the light.

@@ -24,7 +24,7 @@ def replay(capture: Path, options: ReplayOptions, *, out: Path, token: Token = N
     and returns at once, unless the recording, the weights or the results have changed since.
 
     Args:
-        capture: A recorded capture: a folder, a Record3D .r3d file, or a video.
+        capture: A recorded capture: a folder or its zip, a file (.r3d, .sens, .bag, .mcap), or a video.
         options: What to replay.
         out: Folder for panoramas, pictures and the report.
         token: Of the server.

@@ -35,7 +35,7 @@ def stream(
     """Play a recording to a server as a phone would stream it; show rate, latency and light.
 
     Args:
-        capture: A recorded capture: a folder, a Record3D .r3d file, or a video.
+        capture: A recorded capture: a folder or its zip, a file (.r3d, .sens, .bag, .mcap), or a video.
         options: What to play.
         server: The server's address.
         token: The server's.
