@@ -50,9 +50,12 @@ class _Model(BaseModel):
 
 
 class MaterialSpec(_Model):
-    """A material: `kind` with its colour and roughness.
+    """A material.
 
-    Defaults: albedo 0.8 and roughness 0.2 (glossy), white and 0.5 (metal), clear (glass).
+    Attributes:
+        kind: diffuse, glossy, metal, mirror or glass.
+        base_colour: linear RGB, 0 to 1; default: 0.8 grey, white for metal and glass; a mirror has none.
+        roughness: 0 to 1, of glossy (default 0.2) and metal (default 0.5) alone.
     """
 
     kind: Literal["diffuse", "glossy", "metal", "mirror", "glass"]
@@ -84,9 +87,10 @@ class MotionKey(_Model):
     """The state of a motion at one time, relative to the object's place.
 
     Attributes:
-        offset_m: added to the place, world axes.
-        rotation_xyzw: turns the object about its anchor, world axes.
-        scale: of the object about its anchor.
+        at: time, later than that of the key before; in the motion's `unit`.
+        offset_m: metres added to the place, x, y, z in world axes. Default: 0, 0, 0.
+        rotation_xyzw: quaternion x, y, z, w that turns the object about its anchor, world axes. Default: no turn.
+        scale: of the object about its anchor, up to 1000. Default: 1.
     """
 
     at: Coordinate
@@ -105,9 +109,10 @@ class Motion(_Model):
     """Keyframed motion: offsets and scales are interpolated linearly, rotations by slerp; held before and after.
 
     Attributes:
-        unit: of `at`: seconds since the first frame, or frame indices.
-        easing: linear, or smooth: the speed is 0 at every key.
-        loop: begin again after the last key.
+        unit: of `at`: seconds since the first frame (default), or frames: their indices.
+        easing: linear (default), or smooth: the speed is 0 at every key.
+        loop: true: begin again after the last key.
+        keys: 1 to 10,000 states, in order of time.
     """
 
     unit: Literal["seconds", "frames"] = "seconds"
@@ -150,13 +155,17 @@ class ObjectSpec(_Model):
         file: glTF, GLB, OBJ or PLY, relative to the scene's file.
         shape: sphere, cube, plane, vase, chair or teapot, instead of a file.
         up: axis of the file that points up; z is turned to y, x stays.
-        size_m: longest side of the bounding box; default: `SHAPE_SIZE_M` for a shape, else the file's own metres.
+        size_m: longest side of the bounding box, up to 100 m; default: the file's own metres, 0.2 for sphere and cube,
+            0.3 for vase and teapot, 0.5 for plane, 0.85 for chair.
         material: replaces the file's materials.
         position: world metres of the anchor; or
         pose: 4 x 4 rigid matrix, object axes to world; or
-        pixel: column and row in the frame of index `frame` (default: the first frame that is composited).
+        pixel: column and row in a frame: the object stands on the surface there.
+        frame: index of the frame of `pixel`; default: the first frame that is composited.
         yaw_degrees: about the surface's normal, with `position` or `pixel`.
-        anchor: point of the object that is placed, with `position` or `pose`.
+        anchor: point of the object that is placed, with `position` or `pose`: base (default), back, top, centre or
+            origin.
+        motion: movement relative to the place; default: none.
     """
 
     name: Annotated[str, Field(min_length=1, max_length=100)]
