@@ -29,7 +29,9 @@ FLAGS: Final = {
     "Logs": ("log_level", "access_log"),
 }  # fmt: skip
 """Settings that have a flag, by heading; the others have an environment variable only."""
-_VARIABLES: Final = sorted(set(ServerSettings.model_fields) - {name for names in FLAGS.values() for name in names})
+_VARIABLES: Final = sorted(
+    set(ServerSettings.model_fields) - {"on_lan"} - {name for names in FLAGS.values() for name in names}
+)  # on_lan is what --lan sets
 
 
 def _add_settings(options: CommandOptions) -> Build:

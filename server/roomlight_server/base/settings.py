@@ -65,7 +65,8 @@ class ServerSettings(BaseSettings):
         provider: Where the networks run; auto: OpenVINO if it is installed and faster here, else ONNX Runtime.
         depth_model: An ONNX file that estimates the depth of frames without, instead of the network in the package.
         keyframes: Frames kept per session for probes that are requested later, 1.5 MB each.
-        max_sessions: Sessions at the same time. Each holds up to 37 MB of keyframes and 7 MB of volume.
+        max_sessions: Sessions at the same time. Each holds up to 37 MB of keyframes, and a volume of 7 MB or,
+            with the classical model, 30.
         max_session_bytes: Sessions whose options could exceed this are rejected.
         max_probes: Named probes per session. Each adds to the time of every frame.
         frames_in_flight: Frames per session that are being uploaded, decoded or awaited, before 429.
