@@ -1,6 +1,8 @@
 """Commands are made of dataclasses: flags, help, ranges and errors come from the fields."""
 
+import re
 from dataclasses import dataclass, field
+from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,7 +14,7 @@ from typer.testing import CliRunner
 from present import present
 from roomlight.errors import FrameError, OptionError
 from roomlight.rules import check_options
-from roomlight_cli.commands.serve import FLAGS
+from roomlight_cli.commands.serve import FLAGS, app
 from roomlight_cli.options import Check, Flag, Without, command_app, described
 from roomlight_server.base.settings import ServerSettings
 
@@ -202,6 +204,23 @@ def test_every_setting_of_the_server_is_described():
     texts = described(ServerSettings, "Attributes")
     assert texts.keys() == ServerSettings.model_fields.keys()
     assert {name for names in FLAGS.values() for name in names} <= texts.keys()
+
+
+def test_help_of_the_server_lists_what_people_set():
+    shown = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200"}).output
+    assert "ROOMLIGHT_PHONES_FILE" in shown
+    assert "ROOMLIGHT_ON_LAN" not in shown
+
+
+def test_tables_of_fields_in_the_pages_have_every_field():
+    marks = [
+        mark for page in DOCS.glob("*.md") for mark in re.findall(r"<!-- fields: (\S+)\.(\w+) -->", page.read_text())
+    ]
+    assert {"SessionRequest", "FrameResult", "Motion"} <= {name for _, name in marks}
+    for module, name in marks:
+        described_class = getattr(import_module(module), name)
+        fields = getattr(described_class, "model_fields", None) or described_class.__dataclass_fields__
+        assert described(described_class, "Attributes").keys() == fields.keys(), name
 
 
 def test_tables_of_options_in_the_pages_are_made_of_docstrings():

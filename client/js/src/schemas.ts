@@ -47,6 +47,7 @@ export interface components {
          * @description A material that replaces those of a file.
          *
          *     Attributes:
+         *         kind: diffuse, glossy, metal, mirror or glass.
          *         base_colour: default 0.8 grey, white for metal and glass; mirrors have none.
          *         roughness: 0 to 1, of glossy (0.2) and metal (0.5).
          */
@@ -61,16 +62,19 @@ export interface components {
          *
          *     Attributes:
          *         object: id of an uploaded object.
-         *         shape: instead of an uploaded object.
+         *         shape: sphere, cube, plane, vase, chair or teapot, instead of an uploaded object.
          *         up: axis of an uploaded object that points up; z is turned to y.
          *         name: of the object in the answer; default object-0, object-1, ...
-         *         size_m: longest side; default: the file's own metres, 0.2 for a sphere, 0.85 for a chair.
-         *         material: default: the file's own.
+         *         size_m: longest side, up to 100 m; default: the file's own metres, 0.2 for sphere and cube, 0.3 for vase and
+         *             teapot, 0.5 for plane, 0.85 for chair.
+         *         material: `kind` (diffuse, glossy, metal, mirror or glass), `base_colour` and `roughness`; default: the file's
+         *             own.
          *         position: world metres of the anchor, upright; with yaw_degrees.
          *         pose: rigid, object axes to world, 16 numbers column by column.
          *         pixel: column and row in the last processed frame, as it was sent: the object stands on the surface there.
          *         yaw_degrees: about the surface's normal, with position and pixel.
-         *         anchor: point of the object that is placed, with position and pose; default base.
+         *         anchor: point of the object that is placed: base (default), back, top, centre or origin. Not with pixel, whose
+         *             surface chooses it.
          */
         readonly CompositeObject: {
             /** @description ^[0-9a-f]{64}$ */
@@ -315,6 +319,7 @@ export interface components {
          * @description Outcome of a frame.
          *
          *     Attributes:
+         *         index: of the frame.
          *         status: processed: the light includes it. superseded: a newer frame replaced it in the queue. queued: accepted
          *             and waiting (only with `Prefer: respond-async`). skipped: not used because of its tracking state.
          *         replay: the same index and bytes were sent before; the frame was not processed again.
@@ -428,6 +433,7 @@ export interface components {
          * @description An output encoding of light: a format and its parameters.
          *
          *     Attributes:
+         *         format: name of the encoding.
          *         size: panorama height of exr, hdr, png, npy, equirect, usdz and confidence, 8 to 512 (default: as computed);
          *             face width of cube, ktx2, specular and glb, 16, 32, 64, 128 or 256 (default 32).
          *         kind: for sh: total, or ambient (without the main light).
@@ -715,15 +721,15 @@ export interface components {
          * @description Options of a session.
          *
          *     Attributes:
-         *         model: which model estimates the light; `auto` is the server's default.
-         *         height: height of the panoramas in pixels; the width is twice the height.
-         *         reference_exposure: the exposure at which radiance 1.0 is white, in the unit of the frames' exposure; null: the
-         *             exposure of the first frame.
+         *         model: which model estimates the light: auto (default: the server's), classical, single or video.
+         *         height: height of the panoramas in pixels, 16 to 512, default 120; the width is twice the height.
+         *         reference_exposure: the exposure at which radiance 1.0 is white, in the unit of the frames' exposure, 1e-6 to
+         *             1e6; null: the exposure of the first frame.
          *         use_limited_tracking: also use frames whose tracking state is `limited`. Off by default, because their poses can
          *             be wrong and errors in the room's light persist.
-         *         min_confidence: depth pixels below this confidence (0, 1 or 2) are unknown.
-         *         unknown_depth: pixels of unknown depth take depth interpolated from the rim of their hole (`rim`), lie on the
-         *             far boundary of the volume (`far`), or are not used (`drop`).
+         *         min_confidence: depth pixels below this confidence (0, 1 or 2; default 1) are unknown.
+         *         unknown_depth: pixels of unknown depth take depth interpolated from the rim of their hole (`rim`, the default),
+         *             lie on the far boundary of the volume (`far`), or are not used (`drop`).
          */
         readonly SessionRequest: {
             /** @default auto */

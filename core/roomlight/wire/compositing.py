@@ -55,6 +55,7 @@ class CompositeMaterial(WireModel):
     """A material that replaces those of a file.
 
     Attributes:
+        kind: diffuse, glossy, metal, mirror or glass.
         base_colour: default 0.8 grey, white for metal and glass; mirrors have none.
         roughness: 0 to 1, of glossy (0.2) and metal (0.5).
     """
@@ -69,16 +70,19 @@ class CompositeObject(WireModel):
 
     Attributes:
         object: id of an uploaded object.
-        shape: instead of an uploaded object.
+        shape: sphere, cube, plane, vase, chair or teapot, instead of an uploaded object.
         up: axis of an uploaded object that points up; z is turned to y.
         name: of the object in the answer; default object-0, object-1, ...
-        size_m: longest side; default: the file's own metres, 0.2 for a sphere, 0.85 for a chair.
-        material: default: the file's own.
+        size_m: longest side, up to 100 m; default: the file's own metres, 0.2 for sphere and cube, 0.3 for vase and
+            teapot, 0.5 for plane, 0.85 for chair.
+        material: `kind` (diffuse, glossy, metal, mirror or glass), `base_colour` and `roughness`; default: the file's
+            own.
         position: world metres of the anchor, upright; with yaw_degrees.
         pose: rigid, object axes to world, 16 numbers column by column.
         pixel: column and row in the last processed frame, as it was sent: the object stands on the surface there.
         yaw_degrees: about the surface's normal, with position and pixel.
-        anchor: point of the object that is placed, with position and pose; default base.
+        anchor: point of the object that is placed: base (default), back, top, centre or origin. Not with pixel, whose
+            surface chooses it.
     """
 
     object: ObjectId | None = None

@@ -61,15 +61,15 @@ class SessionRequest(ModelChoice):
     """Options of a session.
 
     Attributes:
-        model: which model estimates the light; `auto` is the server's default.
-        height: height of the panoramas in pixels; the width is twice the height.
-        reference_exposure: the exposure at which radiance 1.0 is white, in the unit of the frames' exposure; null: the
-            exposure of the first frame.
+        model: which model estimates the light: auto (default: the server's), classical, single or video.
+        height: height of the panoramas in pixels, 16 to 512, default 120; the width is twice the height.
+        reference_exposure: the exposure at which radiance 1.0 is white, in the unit of the frames' exposure, 1e-6 to
+            1e6; null: the exposure of the first frame.
         use_limited_tracking: also use frames whose tracking state is `limited`. Off by default, because their poses can
             be wrong and errors in the room's light persist.
-        min_confidence: depth pixels below this confidence (0, 1 or 2) are unknown.
-        unknown_depth: pixels of unknown depth take depth interpolated from the rim of their hole (`rim`), lie on the
-            far boundary of the volume (`far`), or are not used (`drop`).
+        min_confidence: depth pixels below this confidence (0, 1 or 2; default 1) are unknown.
+        unknown_depth: pixels of unknown depth take depth interpolated from the rim of their hole (`rim`, the default),
+            lie on the far boundary of the volume (`far`), or are not used (`drop`).
     """
 
     height: Annotated[int, Field(ge=16, le=512), WHOLE_NUMBER] = 120
@@ -89,6 +89,7 @@ class LightForm(WireModel):
     """An output encoding of light: a format and its parameters.
 
     Attributes:
+        format: name of the encoding.
         size: panorama height of exr, hdr, png, npy, equirect, usdz and confidence, 8 to 512 (default: as computed);
             face width of cube, ktx2, specular and glb, 16, 32, 64, 128 or 256 (default 32).
         kind: for sh: total, or ambient (without the main light).
@@ -186,6 +187,7 @@ class FrameResult(WireModel):
     """Outcome of a frame.
 
     Attributes:
+        index: of the frame.
         status: processed: the light includes it. superseded: a newer frame replaced it in the queue. queued: accepted
             and waiting (only with `Prefer: respond-async`). skipped: not used because of its tracking state.
         replay: the same index and bytes were sent before; the frame was not processed again.
