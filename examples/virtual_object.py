@@ -16,7 +16,7 @@ from roomlight.compositing.picture.layer_files import encode_picture
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("capture", type=Path, nargs="?", default=rl.sample_capture())
-    parser.add_argument("--object", default="chair", help="sphere, cube, plane, vase, chair, or a file")
+    parser.add_argument("--object", default="chair", help="sphere, cube, plane, vase, chair, teapot, or a file")
     parser.add_argument("--pixel", default="240,195", help="column and row in the first frame")
     parser.add_argument("--frames", type=int, help="at most this many frames")
     parser.add_argument("--out", type=Path, default=Path("out/virtual_object"))
