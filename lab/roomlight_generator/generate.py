@@ -191,7 +191,7 @@ def generate(
         asked = manifest.sequences[options.split]
         shards, all_shards = _shards(out, options, options.sequences), _shards(out, options, asked)
         todo = deque(
-            ShardTask(tar, numbers.start, numbers.stop, options)
+            ShardTask(tar, numbers.start, numbers.stop, options, options.renderer_name)
             for tar, numbers in shards.items()
             if not is_finished(tar, _names(options.split, numbers))
         )

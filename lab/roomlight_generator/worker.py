@@ -43,12 +43,14 @@ class ShardTask:
 
     Attributes:
         first, last: The shard's sequences are `first` to `last` - 1 of the split.
+        renderer: `module:function` that renders a room's recordings.
     """
 
     tar: Path
     first: int
     last: int
     options: "GenerateOptions"
+    renderer: str
 
     def to_line(self) -> str:
         """Return the task as a line of text: a pickle in hexadecimal digits, since options hold paths."""
@@ -163,7 +165,7 @@ def main() -> None:
     while True:
         task = ShardTask.from_line(tasks.get())
         try:
-            make_shard(task, resolve_name(task.options.renderer_name), emit)
+            make_shard(task, resolve_name(task.renderer), emit)
             emit({"what": "shard"})
         except RoomLightError as error:
             emit({"what": "failed", "error": type(error).__name__, "text": str(error)})
