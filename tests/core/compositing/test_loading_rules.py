@@ -627,6 +627,20 @@ def test_draco_meshes_are_read() -> None:
         load_object(file.glb())
 
 
+@pytest.mark.parametrize(
+    ("component", "normalised", "grey"), [(5121, True, 128 / 255), (5123, True, 128 / 65535), (5123, False, 1.0)]
+)
+def test_integers_of_draco_are_scaled_as_their_accessors_state(component: int, normalised: bool, grey: float) -> None:
+    values = np.full((8, 4), 128, {5121: np.uint8, 5123: np.uint16}[component])
+    file = GltfFile()
+    file.node(mesh=file.draco(CUBE, CUBE_FACES, joints=(values, np.zeros((8, 4), np.float32))))
+    packed_names = file.primitive["extensions"]["KHR_draco_mesh_compression"]["attributes"]
+    for names in (file.primitive["attributes"], packed_names):
+        names["COLOR_0"] = names.pop("JOINTS_0")
+    file.tree["accessors"][1] |= {"componentType": component, "normalized": normalised}
+    assert load_object(file.glb()).parts[0][1].base_colour == pytest.approx([grey] * 3)
+
+
 # Lenient files, and notes
 
 

@@ -13,6 +13,14 @@ _TYPES: Final = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4"
 _COMPONENTS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 
+def as_floats(values: Shaped[np.ndarray, "n c"], accessor: Accessor) -> Float32[np.ndarray, "n c"]:
+    """Return values of an accessor; integers are scaled to [-1, 1] or [0, 1] if it states that they are normalised."""
+    if accessor.componentType == 5126 or not accessor.normalized:
+        return values.astype(np.float32)
+    whole = np.iinfo(_TYPES[accessor.componentType]).max
+    return np.maximum(values.astype(np.float32) / np.float32(whole), np.float32(-1))
+
+
 class Accessors:
     """Decodes the accessors of a file; what they declare is checked against the bytes that are there."""
 
@@ -37,10 +45,7 @@ class Accessors:
             raise ObjectError(f"{label} is {accessor.type}, not {' or '.join(kinds)}")
         if accessor.count != count:
             raise ObjectError(f"{label} has {accessor.count} values for {count} vertices")
-        values = self._values(accessor, label)
-        if accessor.componentType == 5126 or not accessor.normalized:
-            return values.astype(np.float32)
-        return np.maximum(values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max), np.float32(-1))
+        return as_floats(self._values(accessor, label), accessor)
 
     def integers(self, index: int, kind: str, label: str) -> Shaped[np.ndarray, "n c"]:
         """Return unsigned integers, such as indices and joints. Raises ObjectError."""

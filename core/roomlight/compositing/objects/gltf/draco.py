@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from roomlight.compositing.objects.gltf.accessors import Accessors, as_floats
 from roomlight.compositing.objects.gltf.schema import Primitive
 from roomlight.errors import ObjectError
 
@@ -20,7 +21,7 @@ def draco_available() -> bool:
 
 
 def decode_draco(
-    primitive: Primitive, views: Sequence[memoryview], count: int, label: str
+    primitive: Primitive, views: Sequence[memoryview], accessors: Accessors, count: int, label: str
 ) -> dict[str, np.ndarray] | None:
     """Return the attributes and `faces` of a compressed primitive; None if it is not compressed.
 
@@ -39,12 +40,11 @@ def decode_draco(
     try:
         mesh = library.decode(bytes(views[view]))
         arrays = {"faces": np.asarray(mesh.faces).reshape(-1, 3)}
-        for key, number in attributes.items():
-            values = np.asarray(mesh.get_attribute_by_unique_id(number)["data"])
-            names_joints = str(key).startswith("JOINTS_")
-            if values.dtype.kind in "ui" and not names_joints:
-                values = values / np.iinfo(values.dtype).max
-            arrays[str(key)] = values.reshape(len(values), -1).astype(np.int64 if names_joints else np.float32)
+        for key in attributes.keys() & primitive.attributes.keys():
+            values = np.asarray(mesh.get_attribute_by_unique_id(attributes[key])["data"])
+            values = values.reshape(len(values), -1)
+            stated_as = accessors.declared(primitive.attributes[key], f"{label}: {key}")
+            arrays[key] = values.astype(np.int64) if key.startswith("JOINTS_") else as_floats(values, stated_as)
     except Exception as error:  # the binding raises whatever damaged bytes lead to
         raise ObjectError(f"{label}: its Draco data is damaged ({str(error)[:80]})") from error
     points, lengths = arrays.get("POSITION"), {len(values) for key, values in arrays.items() if key != "faces"}

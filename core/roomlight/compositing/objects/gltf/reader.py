@@ -274,7 +274,7 @@ class _PrimitiveReader:
         if key in self._decoded:
             return self._decoded[key]
         count = self._accessors.declared(primitive.attributes["POSITION"], f"{label}: POSITION").count
-        packed = decode_draco(primitive, self._views, count, label)
+        packed = decode_draco(primitive, self._views, self._accessors, count, label)
         read = self._accessors.floats
 
         def values(attribute: str, kind: str | tuple[str, ...]) -> Float32[np.ndarray, "n c"] | None:
