@@ -101,18 +101,22 @@ def bilinear(panorama, rows: int) -> np.ndarray:
 
 def brdf(material: Material, view, light) -> np.ndarray:
     """Return f [n, 3] about the normal +y: the equations at the head of `roomlight.compositing.objects.materials`."""
-    base, metal = np.array(material.base_colour), material.metallic
+    base, metal, alpha = np.array(material.base_colour), material.metallic, material.roughness**2
     normal_incidence = ((material.ior - 1) / (material.ior + 1)) ** 2 * material.specular
-    f0 = normal_incidence * (1 - metal) + metal * base
-    f90 = material.specular * (1 - metal) + metal
-    lobe = _lobe(view, light, material.roughness**2)
+    lobe = _lobe(view, light, alpha)[:, None]
     half = light + view
     half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-9)
-    edge = (1 - np.clip(half @ view, 0, 1)) ** 5
-    reflected = lobe[:, None] * (f0 + (f90 - f0) * edge[:, None])
-    again = 1 + f0 * (1 / lobe_share(view, material.roughness**2, 1.0, 1.0) - 1)  # Turquin 2019
-    reflected, share = reflected * again, lobe_share(view, material.roughness**2, f0, f90) * again
-    return reflected + (1 - metal) * base * (1 - share) / np.pi
+    edge = (1 - np.clip(half @ view, 0, 1))[:, None] ** 5
+    kept = 1 - lobe_share(view, alpha, 1.0, 1.0)
+
+    def bounces(f0, f90):
+        return 1 / (1 - (f0 + (f90 - f0) / 21) * kept)  # Fdez-Aguera 2019
+
+    scale = bounces(normal_incidence, material.specular)
+    share = lobe_share(view, alpha, normal_incidence, material.specular) * scale
+    dielectric = lobe * (normal_incidence + (material.specular - normal_incidence) * edge) * scale
+    dielectric = dielectric + base * (1 - share) / np.pi
+    return (1 - metal) * dielectric + metal * lobe * (base + (1 - base) * edge) * bounces(base, 1.0)
 
 
 def lobe_share(view, alpha: float, f0, f90) -> np.ndarray:

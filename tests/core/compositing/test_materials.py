@@ -32,6 +32,7 @@ LAYERED = Material(ONES, clearcoat=0.7, clearcoat_roughness=0.2, sheen=ONES, she
         *((one, 256, 0.004) for one in (mirror(), diffuse(ONES), glossy(ONES), glass(), LAYERED)),
         # the table is read between its cosines
         *((rough_metal(roughness), 1024, 0.01) for roughness in (0.1, 0.25, 0.5, 1.0)),
+        *((Material(ONES, metallic=metallic, roughness=0.5), 1024, 0.006) for metallic in (0.25, 0.5, 0.75)),
     ],
 )
 def test_white_materials_keep_all_light(material: Material, samples: int, tolerance: float, degrees: float) -> None:

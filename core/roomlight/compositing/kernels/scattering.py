@@ -27,7 +27,7 @@ class Scatter(NamedTuple):
     Attributes:
         f0: reflectance of the lobe's microfacets at normal incidence, with what bounces between them.
         f90: the same at grazing incidence.
-        base: albedo of the base, reduced by what the lobe reflects.
+        base: albedo of the base, reduced by what the dielectric's lobe reflects.
         roughness: of the lobe, perceptual.
         lobe_probability: of drawing a direction from the lobe.
         lobe: share of even light that the lobe reflects.
@@ -47,28 +47,36 @@ def _grey(colour):
 
 
 @njit(**JIT)
-def scatter_of(world, material, base, metallic, roughness, n_v):
-    """Return the `Scatter` of a material's values, as seen from the cosine n_v.
+def _bounces(f0, f90, kept):
+    """Return 1 + F kept + (F kept)^2 ...: microfacets keep a share of the light and reflect their mean F of it again.
 
-    The lobe is scaled by 1 + F0 (1 / E - 1), E its share for F = 1: light that meets several microfacets before it
-    leaves (Turquin 2019, "Practical multiple scattering compensation for microfacet models").
+    Fdez-Aguera 2019, "A multiple-scattering microfacet model for real-time image based lighting".
+    """
+    return 1 / (1 - (20 / 21 * f0 + 1 / 21 * f90) * kept)
+
+
+@njit(**JIT)
+def scatter_of(world, material, base, metallic, roughness, n_v):
+    """Return the `Scatter` of a material's values, as seen from the cosine n_v: `metallic` mixes dielectric and metal.
+
+    Each one's lobe is scaled for light that meets several microfacets before it leaves (`_bounces`).
     """
     ior, specular = world.materials.ior[material], world.materials.specular[material]
-    normal = (ior - 1) / (ior + 1)
-    normal = normal * normal * specular * (1 - metallic)
-    f0 = (normal + metallic * base[0], normal + metallic * base[1], normal + metallic * base[2])
-    f90 = specular * (1 - metallic) + metallic
     low, high = lobe_share(world.lobe, n_v, roughness)
-    again = 1 / max(low + high, 1e-6) - 1
-    x, y, z = 1 + f0[0] * again, 1 + f0[1] * again, 1 + f0[2] * again
-    f0, edge = (x * f0[0], y * f0[1], z * f0[2]), (x * f90, y * f90, z * f90)
+    kept, left = 1 - (low + high), 1 - metallic
+    normal = (ior - 1) / (ior + 1)
+    normal = normal * normal * specular
+    scale = _bounces(normal, specular, kept)
+    under = left * max(1 - scale * (normal * low + specular * high), 0.0)
+    normal, grazing = left * scale * normal, left * scale * specular
+    f0, edge = (normal, normal, normal), (grazing, grazing, grazing)
+    if metallic > 0:
+        x, y, z = _bounces(base[0], 1.0, kept), _bounces(base[1], 1.0, kept), _bounces(base[2], 1.0, kept)
+        x, y, z = metallic * x, metallic * y, metallic * z
+        f0 = (normal + x * base[0], normal + y * base[1], normal + z * base[2])
+        edge = (grazing + x, grazing + y, grazing + z)
     lobe = (f0[0] * low + edge[0] * high, f0[1] * low + edge[1] * high, f0[2] * low + edge[2] * high)
-    left = 1 - metallic
-    under = (
-        base[0] * left * max(1 - lobe[0], 0.0),
-        base[1] * left * max(1 - lobe[1], 0.0),
-        base[2] * left * max(1 - lobe[2], 0.0),
-    )
+    under = (base[0] * under, base[1] * under, base[2] * under)
     return Scatter(f0, edge, under, roughness, _lobe_probability(lobe, under), lobe)
 
 

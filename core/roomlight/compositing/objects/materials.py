@@ -1,13 +1,16 @@
 """Materials of virtual objects: glTF's metallic-roughness model, and smooth glass.
 
-An opaque surface is a GGX microfacet lobe over a Lambertian base (Karis 2013; glTF 2.0, appendix B):
+An opaque surface mixes a dielectric and a metal by `metallic` (glTF 2.0, appendix B), each a GGX microfacet lobe, the
+dielectric's over a Lambertian base (Karis 2013):
 
-    f = (1 + F0 (1 / E1 - 1)) D(h) G1(l) G1(v) F(v, h) / (4 (n.l) (n.v)) + (1 - metallic) base (1 - E(n.v)) / pi
+    lobe(F0, F90) = D(h) G1(l) G1(v) F(v, h) / (4 (n.l) (n.v)) / (1 - Fm (1 - E1)),    Fm = F0 + (F90 - F0) / 21
+    f = (1 - metallic) (lobe(d, specular) + base (1 - E(n.v)) / pi) + metallic lobe(base, 1)
 
-with alpha = roughness^2, Smith's separable G, Schlick's F from F0 = mix(((ior - 1) / (ior + 1))^2 specular, base,
-metallic), and E the share of light that the lobe reflects toward the viewer (a table). The base gets what the lobe
-leaves, so that no surface reflects more light than it receives. The lobe is scaled for light that bounces between
-microfacets (Turquin 2019): a white metal reflects all light at any roughness, as in Blender and three.js.
+with alpha = roughness^2, Smith's separable G, Schlick's F from F0 to F90, d = ((ior - 1) / (ior + 1))^2 specular, and E
+the share of light that the dielectric's lobe reflects toward the viewer, E1 that of one that reflects all (a table).
+The base gets what the lobe leaves, so that no surface reflects more light than it receives. The lobes are scaled for
+light that bounces between microfacets (Fdez-Aguera 2019): a white metal reflects all light at any roughness, as in
+Blender and three.js.
 
 Over it lie sheen (KHR_materials_sheen: Charlie's distribution, spread over the directions of light as the base is)
 and a clear coat of index 1.5 (KHR_materials_clearcoat), without the relief of the normal texture.
