@@ -33,6 +33,7 @@ from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.objects.virtual_object import VirtualObject
+from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight.errors import ObjectError
 
 L_SHAPE = [[0, 0, 0], [2, 0, 0], [2, 0, -1], [1, 0, -1], [1, 0, -2], [0, 0, -2]]
@@ -614,6 +615,19 @@ def test_closed_surfaces_that_face_inward_are_said_to_show_from_outside(double_s
     file.node(mesh=file.mesh(CUBE, hull, material=0), scale=[1.1] * 3)
     notes = [note.effect for note in load_object(file.glb()).notes]
     assert notes == ([] if double_sided else ["they show from outside as well"])
+
+
+@pytest.mark.parametrize("overlap", [0.0, 2e-4])
+def test_of_surfaces_back_to_back_the_one_that_faces_the_camera_shows(overlap: float) -> None:
+    file = GltfFile()
+    for faces, z in ((QUAD_FACES, -overlap), (np.array(QUAD_FACES)[:, ::-1], 0)):
+        file.node(mesh=file.mesh(QUAD, faces, material=file.material()), translation=[0, 0, z])
+    scene = TracedObjects([load_object(file.glb())])
+    x, y = np.random.default_rng(0).uniform(0.1, 0.9, (2, 50)).astype(np.float32)
+    for side, part in ((1, 0), (-1, 1)):
+        origins = np.stack([x, y, np.full_like(x, 3 * side)], axis=1)
+        hits = scene.trace(origins, np.tile(np.float32([0, 0, -side]), (50, 1)))
+        assert set(scene.surfaces.part[hits.face]) == {part}
 
 
 def test_draco_meshes_are_read() -> None:

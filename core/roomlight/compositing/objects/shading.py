@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int64
 
 from roomlight.compositing.objects.materials import TEXTURES, Material, colour_of
-from roomlight.compositing.objects.polygons import row_keys
+from roomlight.compositing.objects.polygons import face_normals, row_keys
 from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
 from roomlight.compositing.objects.virtual_object import TriangleMesh
 from roomlight.notes import Note
@@ -16,6 +16,10 @@ _SAME = 1 / 512
 _TEXELS = 16
 _OPPOSED = 0.01
 _FAR = 1000
+_BACK_TO_BACK = 1e-3
+"""Of an object's size: most distance of the centres of triangles that count as two sides of one surface."""
+_APART = 3e-4
+"""Of an object's size: about what exporters' rounding moves such sides through each other."""
 
 
 def agreeing_corners(
@@ -61,6 +65,39 @@ def near_origin(
             return points, ()
     left_out = f"{label}: its place at {', '.join(f'{value:.10g}' for value in centre.tolist())}"
     return points - centre, (Note(left_out, "it is moved to the origin", "nothing to do if it looks right"),)
+
+
+def moved_apart(meshes: list[TriangleMesh]) -> list[TriangleMesh]:
+    """Move single-sided meshes a little outward where triangles of two of them lie back to back.
+
+    Viewers show the one that faces the camera. Rays meet both at once, or the wrong one first.
+    """
+    own = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
+    corners = np.concatenate([mesh.vertices[mesh.faces] for mesh in meshes])
+    size = max(float(np.ptp(corners, axis=(0, 1)).max()), 1e-30)
+    normals = np.concatenate([face_normals(mesh.vertices, mesh.faces) for mesh in meshes])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    way = np.sign(normals @ [0.61, 0.35, 0.71])  # of two opposed normals one is turned round
+    places = np.concatenate([corners.mean(axis=1) / (_BACK_TO_BACK * size), 2 * way[:, None] * normals], axis=1)
+    opposed = np.zeros(len(meshes), bool)
+    for shift in (0.0, 0.5):  # what one rounds apart the other does not
+        keys = row_keys(np.rint(places + shift))
+        order = np.argsort(keys)
+        starts = np.flatnonzero(np.diff(keys[order], prepend=~keys[order[0]]))
+        several, both = (
+            np.minimum.reduceat(x[order], starts) < np.maximum.reduceat(x[order], starts) for x in (own, way)
+        )
+        lengths = np.diff(starts, append=len(order))
+        opposed[own[order[np.repeat(several & both, lengths)]]] = True
+    return [_grown(mesh, _APART * size) if moves else mesh for mesh, moves in zip(meshes, opposed, strict=True)]
+
+
+def _grown(mesh: TriangleMesh, distance: float) -> TriangleMesh:
+    """Move the vertices along the mean normal of the faces at their place: none come apart."""
+    _, first, at = np.unique(row_keys(mesh.vertices), return_index=True, return_inverse=True)
+    joined = first[at.reshape(-1)].astype(np.int32)
+    outward = replace(mesh, faces=joined[mesh.faces]).smooth_normals()[joined]
+    return replace(mesh, vertices=mesh.vertices + np.float32(distance) * outward)
 
 
 def joined_corners(

@@ -22,7 +22,7 @@ from roomlight.compositing.objects.gltf.schema import Gltf, Primitive
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.materials import TEXTURES, Material
 from roomlight.compositing.objects.polygons import face_normals
-from roomlight.compositing.objects.shading import joined_corners, with_vertex_colours
+from roomlight.compositing.objects.shading import joined_corners, moved_apart, with_vertex_colours
 from roomlight.compositing.objects.virtual_object import TriangleMesh, checked_transform
 from roomlight.errors import ObjectError
 from roomlight.notes import Note, distinct
@@ -131,6 +131,10 @@ def read_gltf(data: bytes, name: str, limits: ObjectLimits, beside: FilesBeside)
     if hulls := sum(map(_is_inside_out, single_sided)):
         lost = f"{name}: closed single-sided surfaces that face inward ({hulls})"
         notes.append(Note(lost, "they show from outside as well", "leave out hulls that draw outlines"))
+    culled = [index for index, (_, surface) in enumerate(drawn) if not surface.double_sided]
+    if len(culled) > 1:
+        for index, mesh in zip(culled, moved_apart([parts[index][0] for index in culled]), strict=True):
+            parts[index] = mesh, parts[index][1]
     if clamped:
         notes.append(Note(f"{name}: {', '.join(clamped[:4])}", "clamped to 0 to 1", "nothing to do if it looks right"))
     return tuple(parts), distinct(notes)
