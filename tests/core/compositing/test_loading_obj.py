@@ -201,7 +201,7 @@ def test_missing_materials_are_noted_beside_other_notes(tmp_path: Path) -> None:
     assert ["materials lost" in note for note in notes_of(load_object(path))] == [False]
 
 
-@pytest.mark.parametrize("line", ["d 0", "Tr 1.0"])
+@pytest.mark.parametrize("line", ["d 0", "Tr 1\nd 0"])
 def test_invisible_parts_are_noted(tmp_path: Path, line: str) -> None:
     (note,) = notes_of(load_object(quad_of(tmp_path, f"newmtl m\n{line}\nnewmtl unused\nd 0\n")))
     assert "of m: these parts are invisible" in note
@@ -346,6 +346,8 @@ def test_odd_numbers_in_materials_keep_their_defaults(tmp_path: Path) -> None:
         ("map_ORM maps/wood red.png", "map_orm"),
         ("illum 0", "illum 0"),
         ("Kd 0.5 0 0\nd -halo 0.5", ""),
+        ("Tr 1.000000", "Tr of 1"),
+        ("Tr 1\nd 1", ""),
     ],
 )
 def test_what_a_material_states_is_read_or_noted(tmp_path: Path, line: str, says: str) -> None:

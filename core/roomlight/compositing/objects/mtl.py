@@ -171,6 +171,11 @@ class MtlReader:
         if cut_out and stated.pictures["map_d"] != stated.pictures.get("map_kd"):
             self._left_out.add("a texture of opacity")
             cut_out = False
+        transparent = share("tr", 0.0)
+        if transparent == 1 and "d" not in stated.values:  # old MeshLab and OpenMVS write so what is opaque
+            effect = "it is read as opaque"
+            self.notes.append(Note(f"{self._name}: Tr of 1 in its materials", effect, "write d 0 if it is invisible"))
+            transparent = 0.0
         ior = stated.values.get("ni", (1.5,))[0]
         shininess = min(max(stated.values.get("ns", (0.0,))[0], 0.0), 1000.0)
         return Material(
@@ -179,7 +184,7 @@ class MtlReader:
             roughness=share("pr", 1 - math.sqrt(shininess / 1000)),
             specular=1.0 if "pr" in stated.values else min(2 * float(np.mean(stated.values.get("ks", (0.0,)))), 1.0),
             ior=ior if 1.05 < ior <= 3 else 1.5,
-            opacity=share("d", 1 - share("tr", 0.0)),
+            opacity=share("d", 1 - transparent),
             alpha_cutoff=0.5 if cut_out else None,
             clearcoat=share("pc", 0.0),
             clearcoat_roughness=share("pcr", 0.0),
