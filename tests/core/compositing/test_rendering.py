@@ -278,6 +278,12 @@ def test_cut_out_shows_what_is_behind(quality) -> None:
     assert covered.depth_m[24, 32] == pytest.approx(alone.depth_m[24, 32], rel=1e-3)
 
 
+def test_a_cut_out_is_there_where_its_alpha_is_its_cutoff() -> None:
+    opaque = Texture.from_srgb8(np.full((7, 5, 4), 255, np.uint8))
+    whole = wall(Material(base_colour_texture=opaque, opacity=0.5, alpha_cutoff=0.5))
+    assert rendered([whole], 1.0, "preview").alpha.min() == 1
+
+
 @pytest.mark.parametrize("quality", ["good", paths(256, 8)])
 def test_a_cut_out_of_which_nothing_is_left_takes_no_light(quality) -> None:
     grey = diffuse((0.8, 0.8, 0.8))

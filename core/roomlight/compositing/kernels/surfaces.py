@@ -9,6 +9,8 @@ from roomlight.kernels.common import JIT, normalised
 
 BASE_COLOUR, METALLIC_ROUGHNESS, NORMAL, EMISSIVE, COAT, COAT_ROUGHNESS, SHEEN, SHEEN_ROUGHNESS = range(8)
 """Columns of `MaterialArrays.texture`."""
+_ROUNDING = 1e-6
+"""Of what is read from a texture."""
 _LEAST_COSINE = 0.01
 """Between the viewer and a shading normal that leans away from it."""
 
@@ -81,7 +83,7 @@ def colours(world, face, b, c, side):
             emitted = (glow[0] * r, glow[1] * g, glow[2] * h)
     cutoff = materials.cutoff[m]
     if cutoff >= 0:
-        shares = (shares[0], shares[1], 1.0 if shares[2] >= cutoff else 0.0)
+        shares = (shares[0], shares[1], 1.0 if shares[2] >= cutoff - _ROUNDING else 0.0)
     if side < 0 and materials.one_sided[m]:
         shares = (shares[0], shares[1], 0.0)
     return base, shares, emitted
