@@ -322,3 +322,7 @@ def test_a_packed_object_is_the_same_object():
         assert own_texture is not None
         assert (texture.texels == own_texture.texels).all()
         assert texture.clamped == own_texture.clamped == (False, True)
+    text, data = pack_object(b"v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n", "obj", {})
+    coloured = unpack_object(json.loads(json.dumps(text)), data).parts[0][1].base_colour_texture
+    assert coloured is not None
+    assert coloured.by_triangle

@@ -38,7 +38,7 @@ def pack_object(body: bytes, kind: str | None, limits: dict[str, int]) -> tuple[
         counts = [len(mesh.vertices), len(mesh.faces)]
         parts.append({"counts": counts, "tangents": mesh.tangents is not None, "material": values})
     arrays += [np.ascontiguousarray(texture.texels, "<u2") for texture in textures]
-    sizes = [(*texture.texels.shape[:2], texture.clamped) for texture in textures]
+    sizes = [(*texture.texels.shape[:2], texture.clamped, texture.by_triangle) for texture in textures]
     notes = [asdict(note) for note in virtual.notes]
     return {"parts": parts, "textures": sizes, "notes": notes}, b"".join(array.tobytes() for array in arrays)
 
@@ -65,7 +65,7 @@ def unpack_object(text: dict[str, Any], data: bytes | memoryview) -> VirtualObje
         virtual = {name: take(kind, faces if name == "faces" else vertices, width) for name, kind, width in _MESH}
         tangents = take("<f4", vertices, 4) if part["tangents"] else None
         meshes.append(TriangleMesh(**virtual, tangents=tangents))
-    textures = [Texture(take("<u2", *size, 4), (across, down)) for *size, (across, down) in text["textures"]]
+    textures = [Texture(take("<u2", *size, 4), (across, down), own) for *size, (across, down), own in text["textures"]]
     materials = [_material(part["material"], textures) for part in text["parts"]]
     notes = tuple(Note(**note) for note in text["notes"])
     return VirtualObject("object", tuple(zip(meshes, materials, strict=True)), notes)

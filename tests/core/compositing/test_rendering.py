@@ -278,6 +278,16 @@ def test_cut_out_shows_what_is_behind(quality) -> None:
     assert covered.depth_m[24, 32] == pytest.approx(alone.depth_m[24, 32], rel=1e-3)
 
 
+@pytest.mark.parametrize(("by_triangle", "least", "most"), [(False, 0.0, 0.05), (True, 0.1, 1.0)])
+def test_previews_average_textures_finer_than_pixels(by_triangle: bool, least: float, most: float) -> None:
+    noise = Texture.from_linear(np.random.default_rng(0).random((1024, 1024, 3)).astype(np.float32))
+    fine = Material((1.0, 1.0, 1.0), specular=0.0, base_colour_texture=replace(noise, by_triangle=by_triangle))
+    objects = [wall(fine), sphere(0.1, mirror())]
+    shown = rendered(objects, 1.0, "preview").radiance[:10]
+    assert least < shown.std() < most
+    assert shown.mean() == pytest.approx(0.5, abs=0.02)
+
+
 def test_a_cut_out_is_there_where_its_alpha_is_its_cutoff() -> None:
     opaque = Texture.from_srgb8(np.full((7, 5, 4), 255, np.uint8))
     whole = wall(Material(base_colour_texture=opaque, opacity=0.5, alpha_cutoff=0.5))

@@ -167,4 +167,5 @@ def with_vertex_colours(
     at = mesh.faces.reshape(-1)
     corners = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
     split = TriangleMesh(mesh.vertices[at], mesh.normals[at], uvs.reshape(-1, 2).astype(np.float32), corners)
-    return split, replace(material, base_colour_texture=Texture.from_linear(image)), True
+    texture = replace(Texture.from_linear(image), by_triangle=True)
+    return split, replace(material, base_colour_texture=texture), True

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import cv2
@@ -14,6 +15,9 @@ from roomlight.errors import ObjectError
 MAX_TEXTURE_SIZE: Final = 2048
 """Wider or higher textures are reduced to this by area: an object rarely covers more pixels of a frame."""
 
+LEVELS: Final = 8
+"""Of a texture: the largest has 16 texels across in the last."""
+
 _ROWS: Final = 128
 
 
@@ -24,6 +28,7 @@ class Texture:
     Attributes:
         texels: Linear RGBA times 65535 in 16 bits.
         clamped: Whether its edges go on outside [0, 1], across and down; else it repeats.
+        by_triangle: Whether each triangle has a square of its own: it has no coarser levels, which would mix them.
 
     Raises:
         ObjectError: The texture has no texel.
@@ -31,10 +36,21 @@ class Texture:
 
     texels: UInt16[np.ndarray, "h w 4"]
     clamped: tuple[bool, bool] = (False, False)
+    by_triangle: bool = False
 
     def __post_init__(self) -> None:
         if self.texels.size == 0:
             raise ObjectError(f"a texture needs one texel at least, got shape {self.texels.shape}")
+
+    @cached_property
+    def levels(self) -> tuple[UInt16[np.ndarray, "h2 w2 4"], ...]:
+        """The texels, and those halved by area again and again, down to one or up to `LEVELS`."""
+        images = [self.texels]
+        while len(images) < LEVELS and max(images[-1].shape[:2]) > 1 and not self.by_triangle:
+            height, width = images[-1].shape[:2]
+            size = max(width // 2, 1), max(height // 2, 1)
+            images.append(cv2.resize(images[-1], size, interpolation=cv2.INTER_AREA))
+        return tuple(images)
 
     @classmethod
     def from_srgb8(cls, image: UInt8[np.ndarray, "h w c"]) -> "Texture":
@@ -60,26 +76,30 @@ class Texture:
 
 
 class TextureArrays(NamedTuple):
-    """All textures of a scene in one array, as the kernels read them."""
+    """All textures of a scene in one array, as the kernels read them.
+
+    Row k t + i of the tables is level k of texture i of t; it is empty where the texture has fewer.
+    """
 
     texels: UInt16[np.ndarray, "n 4"]
-    first: Int64[np.ndarray, " t"]
-    width: Int32[np.ndarray, " t"]
-    height: Int32[np.ndarray, " t"]
-    clamped: Bool[np.ndarray, "t 2"]
+    first: Int64[np.ndarray, " levels*t"]
+    width: Int32[np.ndarray, " levels*t"]
+    height: Int32[np.ndarray, " levels*t"]
+    clamped: Bool[np.ndarray, "levels*t 2"]
 
 
 def texture_arrays(textures: Sequence[Texture]) -> TextureArrays:
     """Concatenate textures; without any, one white texel stands in, because kernels take no empty array."""
-    ends = [texture.clamped for texture in textures] or [(False, False)]
-    images = [texture.texels for texture in textures] or [np.full((1, 1, 4), 65535, np.uint16)]
+    textures = textures or [Texture(np.full((1, 1, 4), 65535, np.uint16))]
+    none = np.zeros((0, 0, 4), np.uint16)
+    images = [texture.levels[k] if k < len(texture.levels) else none for k in range(LEVELS) for texture in textures]
     sizes = np.array([image.shape[0] * image.shape[1] for image in images], np.int64)
     return TextureArrays(
         np.concatenate([image.reshape(-1, 4) for image in images]),
         np.cumsum(sizes) - sizes,
         np.array([image.shape[1] for image in images], np.int32),
         np.array([image.shape[0] for image in images], np.int32),
-        np.array(ends, bool),
+        np.array([texture.clamped for texture in textures] * LEVELS, bool),
     )
 
 

@@ -215,7 +215,8 @@ def render_objects(
     if len(pixels):
         light = lights.environment if settings.samples else lights.panoramas
         is_open = scene.is_open() if settings.samples else np.zeros(0, bool)
-        tables = scene.surfaces, scene.materials, scene.textures
+        materials = scene.materials if settings.samples else scene.materials_from(pose[:3, 3], camera.fx)
+        tables = scene.surfaces, materials, scene.textures
         world = _World(*tables, light, lobe_table(), supports or _NO_SUPPORTS, is_open, scene.emitters)
         stage = _Stage(scene, world, settings, background)
         row, column = np.divmod(pixels, camera.width)

@@ -11,8 +11,9 @@ from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
 from roomlight.camera import rigid_inverse
 from roomlight.compositing.kernels.rigid import fill_open, grow_boxes, turn_vectors
 from roomlight.compositing.kernels.surfaces import EMISSIVE
-from roomlight.compositing.objects.materials import Material, material_arrays
+from roomlight.compositing.objects.materials import Material, MaterialArrays, material_arrays
 from roomlight.compositing.objects.polygons import row_keys
+from roomlight.compositing.objects.textures import LEVELS
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.conventions import panorama_directions
 from roomlight.errors import ObjectError
@@ -146,9 +147,40 @@ class TracedObjects:
     def _texture_means(self) -> Float32[np.ndarray, "t1 4"]:
         table = self.textures
         ends = table.first + table.width.astype(np.int64) * table.height
-        images = [table.texels[first:end] for first, end in zip(table.first, ends, strict=True)]
+        images = [table.texels[first:end] for first, end in zip(table.first, ends, strict=True) if end > first]
         means = [image.mean(axis=0, dtype=np.float64) / 65535 for image in images]
         return np.array([*means, np.ones(4)], np.float32)
+
+    def materials_from(self, eye: Float[np.ndarray, " 3"], focal_px: float) -> MaterialArrays:
+        """Return the materials with levels of their textures whose texels are about as large as pixels of a camera.
+
+        A material has one level of each texture, for the nearest object that has it.
+        """
+        texture, table = self.materials.texture, self.textures
+        if texture.max() < 0:
+            return self.materials
+        material, object_id, uvs_per_m = self._base._uv_densities
+        low, high = self.bounds[object_id].swapaxes(0, 1)
+        distance_m = np.linalg.norm(np.maximum(np.maximum(low - eye, eye - high), 0), axis=1)
+        uvs_per_px = np.full(len(texture), np.inf)
+        np.minimum.at(uvs_per_px, material, uvs_per_m * distance_m / focal_px)
+        texels = (table.width * table.height.astype(np.float64)).reshape(LEVELS, -1)
+        per_px = np.clip(uvs_per_px[:, None] * np.sqrt(texels[0])[texture], 1, 2**LEVELS)
+        last = np.count_nonzero(texels, axis=0)[texture] - 1
+        level = np.minimum(np.rint(np.log2(per_px)), last).astype(np.int32)
+        return self.materials._replace(texture=np.where(texture < 0, -1, texture + level * texels.shape[1]))
+
+    @cached_property
+    def _uv_densities(self) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"], Float64[np.ndarray, " k"]]:
+        """Return the materials of each object, those objects, and how much u and v change in a metre there."""
+        surfaces, count = self.surfaces, len(self.objects)
+        pair = surfaces.material * np.int64(count) + surfaces.object_id
+        ways = (values[:, 1:] - values[:, :1] for values in (surfaces.corners, surfaces.uvs))
+        (a, b), (p, q) = (way.astype(np.float64).swapaxes(0, 1) for way in ways)
+        area_m2 = np.bincount(pair, np.linalg.norm(np.cross(a, b), axis=1))
+        area = np.bincount(pair, np.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]))
+        used = np.flatnonzero(area_m2)
+        return used // count, used % count, np.sqrt(area[used] / area_m2[used])
 
     @cached_property
     def emitters(self) -> Emitters:
