@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.conventions import Position
+from roomlight.conventions import Position, panorama_rays
+from roomlight.engine.kernels.blend import count_seen_through
 from roomlight.engine.lighting import LightingModel, ProbeLightSource
 from roomlight.engine.models.choosing import ProbeEstimator
 from roomlight.engine.models.interface import Rendered
@@ -138,13 +139,25 @@ class Probe:
         return partial.within(farthest_depth_m(self.room.grid.depth_max_m))
 
     def blend(self, rendered: Rendered | None, partial: PartialPanorama, mesh: FrameMesh) -> None:
-        """Let the model estimate the light, and blend the view of a mesh into the panorama."""
+        """Let the model estimate the light, and blend the view of a mesh into the panorama.
+
+        What the frame and the one before see through, such as a person who has left, is forgotten first.
+        """
+        self._forget_seen_through(partial, mesh)
         if rendered is None:
             self._accumulate(partial, mesh, hdr=None, weight=partial.mask.astype(np.float32))
             return
         depth_max_m = self.room.grid.depth_max_m
         estimate = self.estimator.estimate(self.panorama, rendered, partial, depth_max_m=depth_max_m)
         self._accumulate(partial, mesh, hdr=estimate.hdr, weight=estimate.weight)
+
+    def _forget_seen_through(self, partial: PartialPanorama, mesh: FrameMesh) -> None:
+        state, depth_max_m = self.panorama, self.room.grid.depth_max_m
+        gone, position = np.empty(state.observed.shape, np.bool_), np.asarray(self.position, np.float32)
+        farthest_m, closer_m = np.float32(farthest_depth_m(depth_max_m) - CLOSER_M), np.float32(CLOSER_M)
+        rays, view = panorama_rays(len(gone)), mesh.measured_view
+        if count_seen_through(state.arrays, partial.depth_m, rays, position, view, closer_m, farthest_m, gone):
+            state.forget(gone, unseen_depth_m(depth_max_m))
 
     def _accumulate(
         self,

@@ -8,9 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomlight.conventions import LUMINANCE
-from roomlight.engine.kernels.blend import find_extremes
-from roomlight.engine.kernels.reference import accumulate_reference, extremes_around
+from roomlight.camera import rigid_inverse
+from roomlight.conventions import LUMINANCE, panorama_rays
+from roomlight.engine.kernels.blend import count_seen_through, find_extremes
+from roomlight.engine.kernels.reference import accumulate_reference, extremes_around, seen_through_reference
+from roomlight.engine.observations import CLOSER_M
 from roomlight.engine.panorama.blend import (
     DARK,
     FILL_COLOUR,
@@ -21,6 +23,8 @@ from roomlight.engine.panorama.blend import (
     farthest_depth_m,
     fill_in,
 )
+from roomlight.engine.surface.mesh import DepthView
+from rooms import camera_at
 
 HEIGHT = 16
 SHAPE = (HEIGHT, 2 * HEIGHT)
@@ -85,6 +89,25 @@ def test_the_kernel_equals_its_readable_reference(seed, binary):
         first, second = getattr(fast, field.name), getattr(slow, field.name)
         differs = abs(first - second) > 1e-5 * (1 + abs(second))
         assert differs.reshape(*SHAPE, -1).any(axis=-1).sum() <= 1, field.name
+
+
+@given(st.integers(0, 2**31))
+def test_what_is_seen_through_equals_its_readable_reference(seed):
+    rng = np.random.default_rng(seed)
+    fast, slow, position = _state(seed), _state(seed), rng.uniform(-1, 1, 3).astype(np.float32)
+    gone = np.empty(SHAPE, bool)
+    for _ in range(3):
+        shown_m = (rng.uniform(0.3, 8, SHAPE) * (rng.random(SHAPE) < 0.6)).astype(np.float32)
+        depth = (rng.uniform(0.5, 12, (12, 16)) * (rng.random((12, 16)) < 0.9)).astype(np.float32)
+        camera = rigid_inverse(camera_at(rng.uniform(-1, 1, 3), *rng.uniform(-90, 90, 2))).astype(np.float32)
+        view = DepthView(camera, np.array([9, 9, 8, 6], np.float32), depth)
+        limits = np.float32(CLOSER_M), np.float32(7)
+        count = count_seen_through(fast.arrays, shown_m, panorama_rays(HEIGHT), position, view, *limits, gone)
+        expected = seen_through_reference(slow, shown_m, position, view, 7.0)
+        assert count == gone.sum()
+        # float32: a pixel at a threshold may be on either side of it
+        assert (gone != expected).sum() + (fast.changed != slow.changed).sum() <= 2
+        slow.changed[:] = fast.changed
 
 
 @pytest.mark.parametrize("box", [np.s_[:0, :0], np.s_[:, :], np.s_[3:9, 5:12], np.s_[0:1, 31:], np.s_[15:, 0:1]])

@@ -97,6 +97,39 @@ def test_a_late_probe_has_what_only_an_early_frame_observed(pan_frames):
     assert session.light(handle).panorama[lamp].min() > 0.9 * ROOM.lamp_radiance
 
 
+PERSON = BoxRoom(block=((-0.2, 0.0, -1.5), (0.3, 1.8, -1.1)))
+
+
+@pytest.mark.parametrize(
+    ("frames", "stays"),
+    [
+        ("RPPPRR", False),
+        ("RPPPR", True),
+        ("RPRPRPR", True),
+        ("RPRBPBRR", False),  # a frame that does not show the place says nothing
+        ("RPPUUUU", True),
+        ("RPPFFFF", True),
+    ],
+)
+def test_a_person_who_leaves_is_forgotten_once_two_frames_see_through(frames, stays):
+    """R: the room; P: a person in it; U: without depth there; F: noise before the wall; B: behind the camera."""
+    ahead, behind = (camera_at((0.3, 1.5, 1.2), yaw) for yaw in (0, 180))
+    empty = BoxRoom()
+    shown = {name: room.frame(ahead, width=128, height=96) for name, room in (("R", empty), ("P", PERSON))}
+    shown["B"] = empty.frame(behind, width=128, height=96)
+    away, noise = shown["P"].depth_m < shown["R"].depth_m, np.zeros((96, 128), bool)
+    noise[::3, ::3] = True  # one sample of any 3 x 3
+    for name, where, depth_m in (("U", away, 0.0), ("F", away & noise, 2.5)):
+        changed = np.where(where, np.float32(depth_m), shown["R"].depth_m)
+        shown[name] = dataclasses.replace(shown["R"], depth_m=changed)
+    session, _ = _run([dataclasses.replace(shown[name], index=n) for n, name in enumerate(frames)], probes=PROBES[:1])
+    with_person, without = (room.panorama(PROBES[0], 48)[1] for room in (PERSON, empty))
+    state = session.panorama_state(0)
+    there = (with_person < without - 0.5) & (state.observed > 0.5)
+    share = (state.depth_m < without - 0.3)[there].mean()
+    assert share > 0.7 if stays else share < 0.05
+
+
 def test_probes_that_are_computed_side_by_side_have_the_bits_of_single_ones(pan_frames, monkeypatch):
     monkeypatch.setenv("ROOMLIGHT_THREADS", "2")
     points = [(0.1 * number, 1.2, -0.3) for number in range(5)]

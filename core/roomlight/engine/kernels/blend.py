@@ -22,6 +22,11 @@ LEAST_CHANGE: Final = np.float32(0.05)
 """Smallest change of luminance, relative to white: the noise of dark places is no change."""
 CHANGED_FRAMES: Final = np.float32(2)
 """Consecutive frames that must show a change before it is taken over."""
+BEYOND: Final = np.float32(0.05)
+"""A frame sees through a surface if it measures more than this share of the z-depth beyond it, and `CLOSER_M` at
+least."""
+SEEN_THROUGH_FRAMES: Final = np.float32(2)
+"""Consecutive frames that must see through a surface before it is forgotten."""
 SAME_VIEW: Final = np.float32(np.cos(np.radians(5)))
 """Cosine of the angle, seen from the surface, up to which two cameras see the same of it. A hand-held camera that walks
 turns by 1 to 3 degrees about a surface from frame to frame."""
@@ -168,6 +173,60 @@ def same_view(before, now, ray, distance):
             dot + first * second,
         )
     return dot >= SAME_VIEW * np.sqrt(before_squared * now_squared)
+
+
+@njit(**CACHED, error_model="numpy")
+def count_seen_through(state, shown_m, rays, position, view, closer_m, farthest_m, gone):
+    """Count down in `state.changed` where a frame sees through what was observed; light that changes counts up.
+
+    1. A surface that the frame shows in the same direction stays; so does what is farther than depth is kept.
+    2. The observed point in the frame's depth: it says nothing if it lies beside it.
+    3. Seen through if the depth there lies beyond it by `closer_m` and `BEYOND`; otherwise the count begins again.
+
+    Args:
+        state: `StateArrays`.
+        shown_m: what the frame shows, distance along the ray in metres, 0 where it shows nothing, [h, w].
+        rays: directions of the pixels, [h w, 3].
+        position: of the panorama, world metres, [3].
+        view: least measured depth around each sample, 0 = not measured (`DepthView`).
+        closer_m: least distance between two surfaces.
+        farthest_m: points from here on may be farther than their depth says.
+        gone: output [h, w]: what `SEEN_THROUGH_FRAMES` consecutive frames saw through.
+
+    Returns:
+        How many these are.
+    """
+    zero, count = np.float32(0), 0
+    m, lens, depth = view.world_to_camera, view.lens, view.depth
+    for row in range(state.depth.shape[0]):
+        for column in range(state.depth.shape[1]):
+            gone[row, column] = False
+            distance, shown = state.depth[row, column], shown_m[row, column]
+            if state.observed[row, column] <= zero:
+                continue
+            # 1.
+            through = distance < farthest_m and not (shown > zero and abs(shown - distance) < closer_m)
+            if through:  # 2.
+                ray = rays[row * state.depth.shape[1] + column]
+                x, y, z = (
+                    position[0] + distance * ray[0],
+                    position[1] + distance * ray[1],
+                    position[2] + distance * ray[2],
+                )
+                away = -(m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3])
+                j = lens[2] + lens[0] * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]) / away
+                i = lens[3] - lens[1] * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]) / away
+                if not (away > zero and 0 <= j < depth.shape[1] and 0 <= i < depth.shape[0]):
+                    continue
+                through = depth[int(i), int(j)] > away + max(closer_m, BEYOND * away)  # 3.
+            if not through:
+                state.changed[row, column] = max(state.changed[row, column], zero)
+                continue
+            state.changed[row, column] = min(state.changed[row, column], zero) - np.float32(1)
+            if state.changed[row, column] <= -SEEN_THROUGH_FRAMES:
+                state.changed[row, column], gone[row, column] = zero, True
+                count += 1
+    return count
 
 
 @njit(**CACHED, fastmath=True)

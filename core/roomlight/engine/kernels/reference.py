@@ -5,7 +5,7 @@ They have the signatures of the functions that call the kernels, and are slow.
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from roomlight.camera import rigid_inverse
 from roomlight.conventions import LUMINANCE, panorama_directions
@@ -13,14 +13,17 @@ from roomlight.engine.kernels.blend import (
     AGREES,
     APART,
     BEGINS,
+    BEYOND,
     CHANGED,
     DIFFERS,
     LEAST_CHANGE,
     SAME_VIEW,
+    SEEN_THROUGH_FRAMES,
     UNBOUNDED,
 )
 from roomlight.engine.observations import CLOSER_M, better_share
 from roomlight.engine.panorama.blend import AT_PROBE, PanoramaState, PartialPanorama, neighbourhood, replaced_by_change
+from roomlight.engine.surface.mesh import DepthView
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import LOBE_CHANNELS, MAX_SAMPLES, Far, Sglv, check_position
 from roomlight.frame import Frame
@@ -140,6 +143,30 @@ def accumulate_reference(
     for accumulated, new in ((state.depth_m, depth_m), (state.clipped, clipped), (state.guessed, guessed)):
         accumulated[:] = blend * new + (1 - blend) * accumulated
     state.observed[:] = np.minimum(state.observed + blend, 1)
+
+
+def seen_through_reference(
+    state: PanoramaState,
+    shown_m: Float[np.ndarray, "h w"],
+    position: Float[np.ndarray, "3"],
+    view: DepthView,
+    farthest_m: float,
+) -> Bool[np.ndarray, "h w"]:
+    """Compute `roomlight.engine.kernels.blend.count_seen_through`; return `gone`."""
+    points = position + state.depth_m[..., None] * panorama_directions(len(shown_m))
+    x, y, z = np.moveaxis(points @ view.world_to_camera[:3, :3].T + view.world_to_camera[:3, 3], -1, 0)
+    column, row = view.lens[2] - view.lens[0] * x / z, view.lens[3] + view.lens[1] * y / z
+    rows, columns = view.depth.shape
+    inside = (z < 0) & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    measured = view.depth[np.where(inside, row, 0).astype(int), np.where(inside, column, 0).astype(int)]
+    stays = (state.depth_m >= farthest_m) | ((shown_m > 0) & (abs(shown_m - state.depth_m) < CLOSER_M))
+    through = ~stays & inside & (measured > -z + np.maximum(CLOSER_M, -BEYOND * z)) & (state.observed > 0)
+    again = (stays | inside) & ~through & (state.observed > 0)
+    state.changed[again] = np.maximum(state.changed, 0)[again]
+    state.changed[through] = np.minimum(state.changed, 0)[through] - 1
+    gone = state.changed <= -SEEN_THROUGH_FRAMES
+    state.changed[gone] = 0
+    return gone
 
 
 def extremes_around(

@@ -16,6 +16,9 @@ reflection. Therefore:
 - A frame shows more only if its darkest pixel within `AROUND_DEG` does, and less only if its brightest one does.
 - A change begins only where a camera at the same place (`SAME_VIEW`, seen from the surface) showed the surface as it
   was accumulated: the darkest and the brightest pixel around it agreed. Pixels beside such a pixel begin with it.
+
+Third addition: things that leave, such as a person who passes. What `SEEN_THROUGH_FRAMES` consecutive frames see
+through is forgotten (`roomlight.engine.probe`).
 """
 
 from dataclasses import dataclass, fields, replace
@@ -103,7 +106,7 @@ class PanoramaState:
         clipped: [H, 2H] share of the observed surface whose pixels were clipped, 0 to 1.
         guessed: [H, 2H] luminance that the estimate for clipped pixels added to the observed radiance; the rest is a
             lower bound of the radiance.
-        changed: [H, 2H] consecutive frames that showed other light on the same surface.
+        changed: [H, 2H] consecutive frames that showed other light on the same surface; negative: that saw through it.
         viewed_from: [H, 2H, 3] the camera that last showed this light, in metres from the probe, world axes.
     """
 
@@ -123,6 +126,11 @@ class PanoramaState:
         observed, clipped, guessed, changed = (np.zeros(shape, np.float32) for _ in range(4))
         radiance, viewed_from = (np.zeros((*shape, 3), np.float32) for _ in range(2))
         return cls(radiance, unseen, observed, clipped, guessed, changed, viewed_from)
+
+    @property
+    def arrays(self) -> StateArrays:
+        """The planes, for kernels."""
+        return StateArrays(*(getattr(self, plane.name) for plane in fields(self)))
 
     def copy(self) -> "PanoramaState":
         """Return a copy that later frames do not change."""
@@ -177,7 +185,6 @@ def accumulate(
     """
     clipped = np.zeros_like(weight) if partial.clipped is None else partial.clipped
     guessed = np.zeros_like(weight) if partial.guessed is None else partial.guessed
-    accumulated = StateArrays(*(getattr(state, plane.name) for plane in fields(state)))
     around = np.empty((3, *weight.shape), np.float32)
     height, closer_m = len(weight), np.float32(CLOSER_M)
     rows = find_extremes(partial.radiance, clipped, guessed, weight, len(neighbourhood(height)) // 2, around)
@@ -186,11 +193,11 @@ def accumulate(
     frame = DetailArrays(*seen, around[0], around[1], around[2], place)
     comparison = np.zeros(weight.shape, np.uint8)
     # One thread: both 0.1 ms for 120 x 240, more on a pool.
-    compare_rows(accumulated, frame, panorama_rays(height), closer_m, comparison, *rows)
+    compare_rows(state.arrays, frame, panorama_rays(height), closer_m, comparison, *rows)
     state.forget(replaced_by_change(state, comparison), unseen_m)
     behind = state.radiance if hdr is None else hdr
     start, stop = rows if hdr is None else (0, height)
-    accumulate_rows(accumulated, behind, frame, closer_m, hdr is None, start, stop)
+    accumulate_rows(state.arrays, behind, frame, closer_m, hdr is None, start, stop)
 
 
 def replaced_by_change(state: PanoramaState, comparison: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

@@ -220,6 +220,13 @@ class FrameMesh:
         k, to_camera = self.grid_camera, rigid_inverse(self.camera_to_world).astype(np.float32)
         return DepthView(to_camera, np.array([k.fx, k.fy, k.cx, k.cy], np.float32), self.grid_depth_m)
 
+    @property
+    def measured_view(self) -> DepthView:
+        """The grid with the least measured depth around each sample; 0 where not all around it are measured."""
+        depth = np.where(self.measured, self.grid_depth_m, np.float32(0))
+        around = cv2.erode(depth, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        return self.depth_view._replace(depth=around)
+
     def without(self, others: Sequence[DepthView]) -> "FrameMesh | None":
         """Return a copy for views, without surfaces that the others show too; None if nothing is left.
 
