@@ -21,8 +21,8 @@ _SUM_CHANNELS: Final = 7
 """Float32 a voxel of the sums over frames: colour, opacity, count, clipping."""
 _CLASSICAL_CHANNELS: Final = 5 + _SUM_CHANNELS + 11
 """Float32 a voxel: the volume, the sums, the SGLV."""
-_STATE_CHANNELS: Final = 11
-"""Float32 a pixel of a probe's panorama: radiance, depth, seen, clipped, guessed, changed, viewed_from."""
+_STATE_CHANNELS: Final = 12
+"""Float32 a pixel of a probe's panorama: radiance, depth, seen, clipped, guessed, changed, viewed_from, measured."""
 
 
 @dataclass(frozen=True)

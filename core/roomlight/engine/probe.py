@@ -134,9 +134,9 @@ class Probe:
         return Rendered(*render_coarse_panorama(self.room.sglv, self.position, height=height, far=self.room.far))
 
     def view(self, mesh: FrameMesh) -> PartialPanorama:
-        """Render what the probe sees of a frame's mesh."""
+        """Render what the probe sees of a frame's mesh: of completed depth, what lies before no measured surface."""
         partial = mesh.render_panorama(np.asarray(self.position), height=self.panorama.observed.shape[0])
-        return partial.within(farthest_depth_m(self.room.grid.depth_max_m))
+        return partial.within(farthest_depth_m(self.room.grid.depth_max_m)).not_before(self.panorama)
 
     def blend(self, rendered: Rendered | None, partial: PartialPanorama, mesh: FrameMesh) -> None:
         """Let the model estimate the light, and blend the view of a mesh into the panorama.

@@ -40,6 +40,7 @@ def _state(seed):
         rng.uniform(0, 0.2, SHAPE).astype(np.float32),
         rng.integers(0, 2, SHAPE).astype(np.float32),
         rng.uniform(-0.2, 0.2, (*SHAPE, 3)).astype(np.float32),
+        rng.random(SHAPE).astype(np.float32),
     )
 
 
@@ -55,6 +56,7 @@ def _views(seed, *, binary=False) -> dict[str, Any]:
             (rng.uniform(0.3, 8, SHAPE) * mask).astype(np.float32),
             (rng.random(SHAPE) * (rng.random(SHAPE) < 0.5) * mask).astype(np.float32),
             (rng.uniform(0, 0.2, SHAPE) * mask).astype(np.float32),
+            rng.random(SHAPE) < 0.5,
         ),
         "weight": weight,
         "camera": rng.uniform(-0.2, 0.2, 3).astype(np.float32),
@@ -238,6 +240,30 @@ def test_the_clipped_share_only_falls_on_a_surface(seed):
         before, bound = bound, state.radiance @ LUMINANCE - state.guessed
         if before is not None:
             assert (bound >= 0.89 * before).all()
+
+
+@pytest.mark.parametrize(
+    ("views", "hidden"),
+    [
+        ([(True, 3.0)], True),
+        ([(False, 3.0)], False),
+        ([(False, 3.0), (True, 3.1)], True),
+        ([(True, 3.0), (False, 3.1)], True),
+        ([(True, 3.0), (True, 2.0)], False),  # not before it
+        ([(True, 3.0), *2 * [(None, 0.1)]], False),  # other light, of completed depth, replaced it
+    ],
+)
+def test_completed_depth_is_left_out_before_what_was_measured(views, hidden):
+    state = PanoramaState.fresh(HEIGHT, 3.0)
+    for measured, value in views:
+        view = _constant(depth_m=3.0 if measured is None else value, detail=value if measured is None else 1.0)
+        view["partial"] = dataclasses.replace(view["partial"], measured=np.full(SHAPE, bool(measured)))
+        accumulate(state, **view)
+    seen = _constant(depth_m=2.0)["partial"]
+    completed = dataclasses.replace(seen, measured=np.zeros(SHAPE, bool)).not_before(state)
+    assert (completed.mask != hidden).all()
+    assert ((completed.depth_m == 0) == hidden).all()
+    assert not (seen.not_before(state).mask != seen.mask).any()
 
 
 LIT, DARK_AGAIN = {"detail": 3.0, "clipped": 1.0, "guessed": 2.0}, {"detail": 0.2}

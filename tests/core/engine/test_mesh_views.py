@@ -74,6 +74,21 @@ def test_a_view_is_added_as_one_mesh():
         np.testing.assert_array_equal(getattr(first.partial(), name), getattr(both, name))
 
 
+def test_measured_surfaces_win_over_completed_ones_in_any_order():
+    measured, completed = frames(0, 20)
+    completed = dataclasses.replace(completed, depth_m=np.float32(0.6) * completed.depth_m)
+    nothing = np.zeros_like(completed.depth_m)
+    meshes = [FrameMesh(measured), FrameMesh(completed, sensor_depth_m=nothing)]
+    alone = meshes[0].render_panorama(POSITION, height=HEIGHT)
+    first, last = view_of([(0, meshes[0])]), view_of([(1, meshes[1])])
+    last.add_view(first)
+    for view in (view_of(enumerate(meshes)), view_of([(1, meshes[1]), (0, meshes[0])]), last):
+        both = view.partial()
+        assert (both.mask & ~alone.mask).any()
+        np.testing.assert_array_equal(both.depth_m[alone.mask], alone.depth_m[alone.mask])
+        np.testing.assert_array_equal(both.measured, alone.mask)
+
+
 def test_what_an_earlier_mesh_shows_is_left_out_and_nothing_else():
     meshes = [FrameMesh(frame) for frame in frames(0, 12, 24, 36)]
     rest = distinct(meshes)

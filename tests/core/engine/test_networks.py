@@ -205,7 +205,7 @@ def test_finer_panoramas_are_sampled_without_mixing_surfaces(graphs, form):
         seen = np.ones(shape, np.float32)
         unclipped, three = np.zeros(shape, np.float32), np.zeros_like(held)
         small = coarse.weigh(
-            PanoramaState(held, before, seen, unclipped, unclipped, unclipped, three),
+            PanoramaState(held, before, seen, unclipped, unclipped, unclipped, three, unclipped),
             hdr,
             PartialPanorama(radiance, mask, depth),
             GRID.depth_max_m,
@@ -213,7 +213,7 @@ def test_finer_panoramas_are_sampled_without_mixing_surfaces(graphs, form):
         around = (np.arange(3 * HEIGHT)[:, None] % 3 != 1) | (np.arange(6 * HEIGHT) % 3 != 1)
         partial = PartialPanorama(_thrice(radiance), _thrice(mask) | around, np.where(around, 0.7, _thrice(depth)))
         depth_m, none = np.where(around, 5, _thrice(before)), _thrice(unclipped)
-        state = PanoramaState(_thrice(held), depth_m, _thrice(seen), none, none, none, _thrice(three))
+        state = PanoramaState(_thrice(held), depth_m, _thrice(seen), none, none, none, _thrice(three), none)
         large = fine.weigh(state, _thrice(hdr), partial, GRID.depth_max_m)
         # means of nine equal floats differ from them in the last bit or two
         np.testing.assert_allclose(large[1::3, 1::3], small, atol=1e-5)

@@ -97,6 +97,22 @@ def test_a_late_probe_has_what_only_an_early_frame_observed(pan_frames):
     assert session.light(handle).panorama[lamp].min() > 0.9 * ROOM.lamp_radiance
 
 
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_wall_that_was_measured_is_not_hidden_by_depth_completed_from_far_away(order):
+    """The second camera measures up to 2.5 m: the rim of its hole is 1.8 m before the wall, between wall and probe."""
+    room, position = BoxRoom(size_m=(3.0, 3.0, 6.0)), (0.1, 1.4, 0.8)
+    near, far = (room.frame(camera_at((0.0, 1.5, z)), width=128, height=96) for z in (0.5, 1.3))
+    far = dataclasses.replace(far, depth_m=np.where(far.depth_m > 2.5, np.float32(0), far.depth_m))
+    frames = [dataclasses.replace((near, far)[number], index=n) for n, number in enumerate(order)]
+    session, _ = _run(frames, probes=[position])
+    distance = room.panorama(position, 48)[1]
+    wall = panorama_directions(48)[..., 2] * distance < -3.7
+    for handle in (session.track(position), 0)[: 2 - order[0]]:  # tracked, only what comes after is left out
+        state = session.panorama_state(handle)
+        assert (state.observed[wall] > 0.5).mean() > 0.8
+        assert (state.depth_m < distance - 0.3)[wall].mean() < 0.02
+
+
 PERSON = BoxRoom(block=((-0.2, 0.0, -1.5), (0.3, 1.8, -1.1)))
 
 

@@ -35,6 +35,7 @@ def _shot(index):
     return saturated(frame, (1.0, 4.0, 16.0)[index % 3])
 
 
+MEASURED = "probe/0/panorama/measured"
 FRAMES = [_shot(index) for index in range(11)]
 
 
@@ -109,6 +110,14 @@ def test_kept_frames_are_made_from_the_frames_as_pushed(unknown_depth, at):
     assert _bits(loaded) == _bits(whole)
     assert _run(loaded, FRAMES[at : at + 2]) == _run(whole, FRAMES[at : at + 2])
     assert _bits(loaded) == _bits(whole)
+
+
+def test_a_state_from_before_it_was_known_what_was_measured_loads(saved):
+    records = [one for one in unpack_records(state_of(saved[0]), "room") if one.values.get("name") != MEASURED]
+    loaded = session_from(pack_records(records))
+    assert _bits(loaded) == _bits(saved[0])
+    _run(loaded, FRAMES[7:])
+    assert loaded.panorama_state(0).measured.max() == 1
 
 
 def test_a_second_recording_that_begins_at_frame_0_keeps_the_first_ones_frames():

@@ -50,6 +50,7 @@ class StateArrays(NamedTuple):
     guessed: Float32[np.ndarray, "h w"]
     changed: Float32[np.ndarray, "h w"]
     viewed_from: Float32[np.ndarray, "h w 3"]
+    measured: Float32[np.ndarray, "h w"]
 
 
 class DetailArrays(NamedTuple):
@@ -62,6 +63,7 @@ class DetailArrays(NamedTuple):
         lowest, highest, brightest: Around each pixel, the least lower bound, the greatest possible luminance and the
             greatest lower bound (`find_extremes`).
         camera: Its position in metres from the probe, world axes.
+        measured: 1 where depth was measured, 0 elsewhere.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
@@ -73,6 +75,7 @@ class DetailArrays(NamedTuple):
     highest: Float32[np.ndarray, "h w"]
     brightest: Float32[np.ndarray, "h w"]
     camera: Float32[np.ndarray, "3"]
+    measured: Float32[np.ndarray, "h w"]
 
 
 @njit(**CACHED)
@@ -233,7 +236,8 @@ def count_seen_through(state, shown_m, rays, position, view, closer_m, farthest_
 def compare_rows(state, detail, rays, closer_m, comparison, start, stop):
     """Write into `comparison` [h, w] how rows start..stop of a frame compare with the state; see `APART`.
 
-    Where they agree, counts of changes are reset, and `viewed_from` becomes this camera if nothing around differs.
+    Where they agree, counts of changes are reset, and `viewed_from` becomes this camera if nothing around differs. A
+    surface counts as measured if one of them measured it.
 
     1. Another surface, or nothing observed before: APART.
     2. Darker or brighter than the accumulated light allows: BEGINS if both cameras look from one direction, else
@@ -250,6 +254,7 @@ def compare_rows(state, detail, rays, closer_m, comparison, start, stop):
                 continue
             if abs(state.depth[row, column] - detail.depth[row, column]) >= closer_m:
                 continue
+            state.measured[row, column] = max(state.measured[row, column], detail.measured[row, column])
             # 2. its light
             shown = luminance(radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2])
             bound = shown - state.guessed[row, column]
@@ -275,8 +280,8 @@ def accumulate_rows(state, hdr, detail, closer_m, only_seen, start, stop):
 
     1. The conservative rule: a surface that is not closer than the accumulated one loses 1 of its weight.
     2. A clipped observation of the same surface gives way to one that knows more (`better_share`).
-    3. Radiance, depth, share observed, clipping: the frame's by the weight, the state's by the rest, inferred light
-       behind both.
+    3. Radiance, depth and whether it was measured, share observed, clipping: the frame's by the weight, the state's by
+       the rest, inferred light behind both.
     """
     one, zero = np.float32(1), np.float32(0)
     radiance, new = state.radiance, detail.radiance
@@ -307,4 +312,7 @@ def accumulate_rows(state, hdr, detail, closer_m, only_seen, start, stop):
             state.depth[row, column] = blend * detail.depth[row, column] + (one - blend) * state.depth[row, column]
             state.observed[row, column] = min(before + blend, one)
             state.clipped[row, column] = blend * detail.clipped[row, column] + (one - blend) * clipped
+            state.measured[row, column] = (
+                blend * detail.measured[row, column] + (one - blend) * state.measured[row, column]
+            )
             state.guessed[row, column] = blend * detail.guessed[row, column] + (one - blend) * known

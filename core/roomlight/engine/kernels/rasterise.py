@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Bool, Float32, Int32
 from numba import njit
 
 from roomlight.kernels.common import CACHED
@@ -315,11 +315,13 @@ class Surface(NamedTuple):
         faces: [n, 3] vertices.
         pixels: [v, 2] (column, row) of a vertex in the image, centres at whole numbers.
         depth_m: [v] z-depth.
+        measured: [v] whether the sensor measured it; elsewhere it is completed.
     """
 
     faces: Int32[np.ndarray, "n 3"]
     pixels: Float32[np.ndarray, "v 2"]
     depth_m: Float32[np.ndarray, " v"]
+    measured: Bool[np.ndarray, " v"]
 
 
 @njit(**CACHED)
@@ -347,16 +349,20 @@ class Nearest(NamedTuple):
         distance: metres along the ray, infinite where nothing is seen.
         limit: the distance at which another mesh's surface replaces it.
         mesh: its mesh's number, -1 where nothing is seen.
+        measured: whether its depth was measured; False where nothing is seen.
     """
 
     distance: Float32[np.ndarray, " p"]
     limit: Float32[np.ndarray, " p"]
     mesh: Int32[np.ndarray, " p"]
+    measured: Bool[np.ndarray, " p"]
 
 
 @njit(**CACHED)
 def take_nearer(raster, start, stop, surface, per_pixel, number, closer_m, nearest, seen, maps, levels):
     """Take the pixels start..stop of a mesh that are nearer by `closer_m`, and clear the raster there.
+
+    Depth that was measured replaces what was completed, and is not replaced by it.
 
     Args:
         raster: nearest triangles [p].
@@ -374,8 +380,11 @@ def take_nearer(raster, start, stop, surface, per_pixel, number, closer_m, neare
     count = 0
     for pixel in range(start, stop):
         if raster.triangle[pixel] >= 0:
-            distance = raster.distance[pixel]
-            if raster.front[pixel] and distance <= nearest.limit[pixel]:
+            distance, faces = raster.distance[pixel], surface.faces[raster.triangle[pixel]]
+            measured = surface.measured[faces[0]] and surface.measured[faces[1]] and surface.measured[faces[2]]
+            known = nearest.measured[pixel]
+            if raster.front[pixel] and (measured > known or (measured == known and distance <= nearest.limit[pixel])):
+                nearest.measured[pixel] = measured
                 nearest.distance[pixel], nearest.limit[pixel] = distance, distance - closer_m
                 nearest.mesh[pixel] = number
                 seen[count], levels[count] = pixel, _place_in_image(raster, surface, pixel, per_pixel, maps[count])

@@ -128,6 +128,8 @@ def accumulate_reference(
     lengths = np.linalg.norm(before, axis=-1) * np.linalg.norm(now, axis=-1)
     near = (before * now).sum(axis=-1) >= SAME_VIEW * lengths
     state.changed[same & ~differs] = 0
+    measured = np.ones_like(weight) if partial.measured is None else partial.measured.astype(np.float32)
+    state.measured[same] = np.maximum(state.measured, measured)[same]
     replaced = replaced_by_change(
         state, np.where(differs, np.where(near, BEGINS, DIFFERS), np.where(same, AGREES, APART))
     )
@@ -140,7 +142,12 @@ def accumulate_reference(
     known = state.observed[..., None]
     background = (1 - known) * (state.radiance if hdr is None else hdr) + known * state.radiance
     state.radiance[:] = blend[..., None] * detail + (1 - blend[..., None]) * background
-    for accumulated, new in ((state.depth_m, depth_m), (state.clipped, clipped), (state.guessed, guessed)):
+    for accumulated, new in (
+        (state.depth_m, depth_m),
+        (state.clipped, clipped),
+        (state.guessed, guessed),
+        (state.measured, measured),
+    ):
         accumulated[:] = blend * new + (1 - blend) * accumulated
     state.observed[:] = np.minimum(state.observed + blend, 1)
 

@@ -82,6 +82,7 @@ class PartialPanorama:
         depth_m: [H, 2H] distance along the ray in metres, 0 where the mask is False.
         clipped: [H, 2H] share of the surface whose pixels were clipped, 0 to 1; None: nothing was clipped.
         guessed: [H, 2H] luminance of the radiance that was estimated for these pixels; None: nothing was clipped.
+        measured: [H, 2H] where depth was measured; elsewhere it was completed. None: all of it was measured.
     """
 
     radiance: Float[np.ndarray, "h w 3"]
@@ -89,10 +90,21 @@ class PartialPanorama:
     depth_m: Float[np.ndarray, "h w"]
     clipped: Float[np.ndarray, "h w"] | None = None
     guessed: Float[np.ndarray, "h w"] | None = None
+    measured: Bool[np.ndarray, "h w"] | None = None
 
     def within(self, farthest_m: float) -> "PartialPanorama":
         """Clamp the depth to `farthest_m`."""
         return replace(self, depth_m=np.minimum(self.depth_m, np.float32(farthest_m)))
+
+    def not_before(self, state: "PanoramaState") -> "PartialPanorama":
+        """Leave out surfaces of completed depth that would lie before one whose depth was measured."""
+        if self.measured is None:
+            return self
+        before = self.mask & ~self.measured & (state.measured > 0.5) & state.is_closer(self.depth_m)
+        if not before.any():
+            return self
+        radiance, depth_m = np.where(before[..., None], 0, self.radiance), np.where(before, 0, self.depth_m)
+        return replace(self, radiance=radiance, mask=self.mask & ~before, depth_m=depth_m)
 
 
 @dataclass(frozen=True)
@@ -108,6 +120,7 @@ class PanoramaState:
             lower bound of the radiance.
         changed: [H, 2H] consecutive frames that showed other light on the same surface; negative: that saw through it.
         viewed_from: [H, 2H, 3] the camera that last showed this light, in metres from the probe, world axes.
+        measured: [H, 2H] share of the observed surface whose depth was measured and not completed, 0 to 1.
     """
 
     radiance: Float[np.ndarray, "h w 3"]
@@ -117,15 +130,16 @@ class PanoramaState:
     guessed: Float[np.ndarray, "h w"]
     changed: Float[np.ndarray, "h w"]
     viewed_from: Float[np.ndarray, "h w 3"]
+    measured: Float[np.ndarray, "h w"]
 
     @classmethod
     def fresh(cls, height: int, depth_max_m: float) -> "PanoramaState":
         """Return the state before the first frame: nothing observed."""
         shape = (height, 2 * height)
         unseen = np.full(shape, unseen_depth_m(depth_max_m), np.float32)
-        observed, clipped, guessed, changed = (np.zeros(shape, np.float32) for _ in range(4))
+        observed, clipped, guessed, changed, measured = (np.zeros(shape, np.float32) for _ in range(5))
         radiance, viewed_from = (np.zeros((*shape, 3), np.float32) for _ in range(2))
-        return cls(radiance, unseen, observed, clipped, guessed, changed, viewed_from)
+        return cls(radiance, unseen, observed, clipped, guessed, changed, viewed_from, measured)
 
     @property
     def arrays(self) -> StateArrays:
@@ -138,12 +152,11 @@ class PanoramaState:
 
     def for_lighting(self) -> "PanoramaState":
         """Return a copy that later frames do not change; what only blending needs is zero and takes no memory."""
-        zero = np.zeros((), np.float32)
-        planes = {
-            name: getattr(self, name).copy() for name in ("radiance", "depth_m", "observed", "clipped", "guessed")
-        }
-        changed, viewed_from = (np.broadcast_to(zero, plane.shape) for plane in (self.changed, self.viewed_from))
-        return PanoramaState(**planes, changed=changed, viewed_from=viewed_from)
+        planes = {plane.name: getattr(self, plane.name) for plane in fields(self)}
+        unused, zero = ("changed", "viewed_from", "measured"), np.zeros((), np.float32)
+        return PanoramaState(
+            **{k: np.broadcast_to(zero, plane.shape) if k in unused else plane.copy() for k, plane in planes.items()}
+        )
 
     def is_closer(self, depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
         """Return where a surface is closer by `CLOSER_M` than the accumulated one: the conservative rule."""
@@ -151,7 +164,7 @@ class PanoramaState:
 
     def forget(self, changed: Bool[np.ndarray, "h w"], unseen_m: float) -> None:
         """Forget what was observed there, so that the next frame is seen as if it were the first."""
-        for plane in (self.observed, self.clipped, self.guessed):
+        for plane in (self.observed, self.clipped, self.guessed, self.measured):
             plane[changed] = 0
         self.depth_m[changed] = unseen_m
 
@@ -185,12 +198,13 @@ def accumulate(
     """
     clipped = np.zeros_like(weight) if partial.clipped is None else partial.clipped
     guessed = np.zeros_like(weight) if partial.guessed is None else partial.guessed
+    measured = np.ones_like(weight) if partial.measured is None else partial.measured.astype(np.float32)
     around = np.empty((3, *weight.shape), np.float32)
     height, closer_m = len(weight), np.float32(CLOSER_M)
     rows = find_extremes(partial.radiance, clipped, guessed, weight, len(neighbourhood(height)) // 2, around)
     place = np.asarray(camera, np.float32)
     seen = partial.radiance, partial.depth_m, clipped, guessed, weight
-    frame = DetailArrays(*seen, around[0], around[1], around[2], place)
+    frame = DetailArrays(*seen, around[0], around[1], around[2], place, measured)
     comparison = np.zeros(weight.shape, np.uint8)
     # One thread: both 0.1 ms for 120 x 240, more on a pool.
     compare_rows(state.arrays, frame, panorama_rays(height), closer_m, comparison, *rows)

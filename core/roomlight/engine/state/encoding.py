@@ -154,6 +154,7 @@ class SavedSession:
     def _probe(self, probe: _Probe) -> ProbeSnapshot:
         planes = _under(f"probe/{probe.handle}/panorama", self.arrays)
         memory = _under(f"probe/{probe.handle}/memory", self.arrays)
+        planes.setdefault("measured", np.zeros_like(planes["observed"]))  # earlier states lack it
         panorama = PanoramaState(**{name: planes[name] for name in _PLANES})
         tracker = LightTracker.from_json(probe.tracker)
         return ProbeSnapshot(probe.handle, probe.position, panorama, memory, tracker, probe.room, probe.forgotten)

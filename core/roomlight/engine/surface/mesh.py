@@ -247,7 +247,7 @@ class FrameMesh:
             return None
         window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         rest = self.passing()
-        rest.grid_depth_m = np.ascontiguousarray(depth[window])
+        rest.grid_depth_m, rest.measured = (np.ascontiguousarray(plane[window]) for plane in (depth, self.measured))
         rest._made = self._triangles_of(rest.grid_depth_m, window)
         return rest
 
@@ -300,13 +300,18 @@ def empty_raster(pixels: int) -> Raster:
 
 
 class MeshesView:
-    """A point's panorama of meshes: those added first stay, unless a later one shows a surface closer by `CLOSER_M`."""
+    """A point's panorama of meshes: those added first stay, unless a later one shows a surface closer by `CLOSER_M`.
+
+    Surfaces whose depth was measured win over those whose depth was completed: beyond the sensor's range that is the
+    depth of the rim, which moves with the camera.
+    """
 
     def __init__(self, position_world: Float[np.ndarray, "3"], height: int) -> None:
         """Begin without meshes, at a position in world metres, with `height` rows."""
         self._position, self._height = position_world, height
         pixels, endless = 2 * height * height, np.float32(np.inf)
-        self._nearest = Nearest(np.full(pixels, endless), np.full(pixels, endless), np.full(pixels, -1, np.int32))
+        distance, limit, mesh = np.full(pixels, endless), np.full(pixels, endless), np.full(pixels, -1, np.int32)
+        self._nearest = Nearest(distance, limit, mesh, np.zeros(pixels, np.bool_))
         self._radiance, self._clipping = np.zeros((pixels, 3), np.float32), np.zeros((pixels, 2), np.float32)
         self._clips = False
 
@@ -319,7 +324,7 @@ class MeshesView:
             rows = mesh.rasterise(self._position, height, raster)
             some = rows[0] * 2 * height, rows[1] * 2 * height
             made, pyramid = mesh.triangles, mesh.levels
-            surface = Surface(made.faces, made.pixels, mesh.grid_depth_m.reshape(-1))
+            surface = Surface(made.faces, made.pixels, mesh.grid_depth_m.reshape(-1), mesh.measured.reshape(-1))
             # image pixels that a panorama pixel spans at a distance equal to the z-depth
             per_pixel = np.float32((mesh.image_camera.fx + mesh.image_camera.fy) / 2 * np.pi / height)
             count = take_nearer(raster, *some, surface, per_pixel, number, _CLOSER_M, self._nearest, seen, maps, levels)
@@ -329,7 +334,8 @@ class MeshesView:
     def add_view(self, other: "MeshesView") -> None:
         """Add what another view from the same point shows, as if it were one mesh."""
         mine, theirs = self._nearest, other._nearest
-        closer = np.flatnonzero((theirs.distance <= mine.limit) & (theirs.mesh >= 0))
+        closer = (theirs.measured == mine.measured) & (theirs.distance <= mine.limit)
+        closer = np.flatnonzero((theirs.measured > mine.measured) | (closer & (theirs.mesh >= 0)))
         for own, new in zip(
             (*mine, self._radiance, self._clipping), (*theirs, other._radiance, other._clipping), strict=True
         ):
@@ -341,11 +347,11 @@ class MeshesView:
         shape = self._height, 2 * self._height
         mask = (self._nearest.mesh >= 0).reshape(shape)
         depth_m = np.where(mask, self._nearest.distance.reshape(shape), np.float32(0))
-        radiance = self._radiance.reshape(*shape, 3)
+        radiance, measured = self._radiance.reshape(*shape, 3), self._nearest.measured.reshape(shape)
         if not self._clips:
-            return PartialPanorama(radiance, mask, depth_m)
+            return PartialPanorama(radiance, mask, depth_m, measured=measured)
         clipped, guessed = (np.ascontiguousarray(self._clipping[:, part]).reshape(shape) for part in range(2))
-        return PartialPanorama(radiance, mask, depth_m, clipped, guessed)
+        return PartialPanorama(radiance, mask, depth_m, clipped, guessed, measured)
 
     def viewed_from(self, cameras: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "h w 3"]:
         """Return the camera of each pixel's mesh, in metres from the point; 0 where nothing is seen.
