@@ -147,7 +147,8 @@ class Frame:
         depth_m, (_, most_m) = clean_depth(self.depth_m), DEPTH_MEDIAN_M
         if depth_m.max() > most_m and (median_m := float(np.median(depth_m[depth_m > 0]))) > most_m:
             raise FrameError(
-                f"{name}: the median depth is {median_m:.4g} m, more than {most_m:g} m; is it in millimetres?"
+                f"{name}: the median depth is {median_m:.4g} m, more than {most_m:g} m; is it in millimetres or "
+                f"centimetres?"
             )
         object.__setattr__(self, "image", _checked_image(self.image, name))
         object.__setattr__(self, "depth_m", depth_m)

@@ -31,7 +31,10 @@ def _unchecked(**parts):
         ({"intrinsics": FRAME.intrinsics.resized(320, 240)}, "160 x 120 but its intrinsics are for 320 x 240"),
         ({"depth_m": FRAME.depth_m[:1, :1]}, "1 x 1 is too small"),
         ({"depth_m": FRAME.depth_m[:, :60]}, "60 x 60 has another aspect"),
-        ({"depth_m": 1000 * FRAME.depth_m}, r"the median depth is \d+ m, more than 100 m; is it in millimetres\?"),
+        (
+            {"depth_m": 1000 * FRAME.depth_m},
+            r"the median depth is \d+ m, more than 100 m; is it in millimetres or centimetres\?",
+        ),
         ({"camera_to_world": np.full((4, 4), np.nan)}, "NaN or infinity"),
         ({"camera_to_world": 2 * np.eye(4)}, "last row"),
         ({"camera_to_world": camera_at((0.0, 0.0, 2e4))}, r"2e\+04 m from the origin"),
