@@ -100,6 +100,7 @@ class Room:
 
         `turn` is the number of the frame in its session (`update_keyframes`).
         """
+        self.keyframes.drop_contradicted(mesh)
         update_keyframes(mesh, [key.mesh for key in self.keyframes], turn=turn)
         return self.keyframes.offer(index, mesh)
 

@@ -1,12 +1,16 @@
 """The keyframe store: bounded, refuses frames without new cells, and keeps coverage."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from roomlight.engine.surface.change import contradicts
 from roomlight.engine.surface.keyframes import KeyframeStore
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid
 from rooms import BoxRoom, camera_at, pan
+from sessions import session_from, session_of, state_of
 
 ROOM = BoxRoom()
 SIZE = {"width": 80, "height": 60}
@@ -100,3 +104,57 @@ def test_offers_during_iteration_do_not_change_it(two_pans):
         assert key.index == 0
         store.offer(9, meshes[9])
     assert len(store) == 2
+
+
+BLOCKED = BoxRoom(block=((-0.4, 0.0, -0.9), (0.3, 1.9, -0.5)))
+"""Somebody stands before the camera."""
+
+
+def _look(room=ROOM, index=0, position=(0.0, 1.5, 1.0), light=1.0):
+    frame = room.frame(camera_at(position), index=index, **SIZE)
+    return replace(frame, image=np.float32(light) * frame.image)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "contradicted"),
+    [
+        (ROOM, _look(), False),
+        (ROOM, _look(BLOCKED), False),  # what is hidden may still be there
+        (BLOCKED, _look(), True),
+        (BLOCKED, _look(BLOCKED, position=(0.05, 1.5, 1.0)), False),  # a pose that is off by 5 cm
+        (ROOM, _look(light=1.8), False),
+        (ROOM, _look(light=2.2), True),
+        (ROOM, _look(light=0.4), True),
+    ],
+    ids=["same", "somebody comes", "somebody goes", "pose", "noise", "brighter", "darker"],
+)
+def test_a_frame_contradicts_what_it_sees_through_and_other_light(before, now, contradicted):
+    seen = replace(now, camera_to_world=_look().camera_to_world)
+    assert contradicts(FrameMesh(seen), FrameMesh(_look(before))) == contradicted
+
+
+def test_two_frames_that_contradict_replace_a_keyframe_also_after_loading():
+    session = session_of([_look(BLOCKED), _look(index=1)])
+    assert [index for index, _ in session.meshes] == [0, 1]
+    loaded = session_from(state_of(session))
+    for each in (session, loaded):
+        each.push(_look(index=2))
+        assert [index for index, _ in each.meshes] == [1, 2]  # the last frame is 2
+    assert state_of(session) == state_of(loaded)
+
+
+def test_somebody_who_stands_before_the_camera_replaces_no_keyframe():
+    around = pan(ROOM, 12, step_degrees=30, **SIZE)
+    session = session_of([*around, *(_look(BLOCKED, 12 + n) for n in range(3))])
+    assert set(range(11)) <= {index for index, _ in session.meshes}
+
+
+def test_somebody_who_walks_along_in_view_does_not_cost_the_room():
+    frames = []
+    for index in range(60):
+        pose = camera_at((0.0, 1.4, 0.0), 4 * index)
+        x, _, z = 0.8 * -pose[:3, 2]
+        person = BoxRoom(block=((x - 0.12, 0.0, z - 0.12), (x + 0.12, 1.8, z + 0.12)))
+        frames.append([room.frame(pose, index=index, **SIZE) for room in (ROOM, person)])
+    alone, beside = (session_of(each, height=32).light_at((0.0, 1.2, 0.0)) for each in zip(*frames, strict=True))
+    assert beside.coverage > 0.85 * alone.coverage

@@ -75,6 +75,31 @@ def test_a_switched_lamp_shows_within_three_frames(model, before, after):
     assert abs(np.log(found / wanted)) < left * abs(np.log(old / wanted))
 
 
+@pytest.mark.parametrize(("before", "after"), [(UNLIT, LIT), (LIT, UNLIT)], ids=["on", "off"])
+def test_light_at_a_point_asked_for_late_follows_a_switched_lamp(before, after):
+    session, other = (session_of(probes=[PROBE], height=HEIGHT) for _ in range(2))
+    light_after(session, before, *np.linspace(-4, 4, 5))
+    light_after(session, after, *np.linspace(-4, 4, 5))
+    light_after(other, after, *np.linspace(-4, 4, 5))
+    assert energy(session.light_at(PROBE).reflection) == pytest.approx(
+        energy(other.light_at(PROBE).reflection), rel=0.1
+    )
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0])
+def test_a_first_frame_that_shows_nothing_is_replaced(level):
+    """A finger on the lens, an exposure that has not settled."""
+    shown = frame(UNLIT, 0, 0)
+    failed = replace(shown, image=np.full_like(shown.image, level), clipped=np.full_like(shown.clipped, level == 1))
+    session, other = session_of([failed], height=HEIGHT), session_of(height=HEIGHT)
+    for index in range(1, 4):
+        session.push(frame(UNLIT, index, 0))
+        other.push(frame(UNLIT, index, 0))
+    assert energy(session.light_at(PROBE).reflection) == pytest.approx(
+        energy(other.light_at(PROBE).reflection), rel=0.1
+    )
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_a_lamp_that_is_measured_keeps_its_radiance(model):
     """Networks learned weights of light up to white: with those 17.4 of this lamp would be left."""

@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.camera import rigid_inverse, transform_points
-from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.camera import transform_points
+from roomlight.engine.surface.mesh import FrameMesh, most_alike
 from roomlight.engine.surface.texture import small_logarithm
 from roomlight.frame import Frame
 
@@ -101,9 +101,7 @@ def _measured(
     """Return the logarithm of the gain, and the number of points that it was measured at; None: no view counts."""
     if not earlier:
         return None
-    ahead = -frame.camera_to_world[:3, 2]
-    order = sorted(range(len(earlier)), key=lambda n: float(ahead @ earlier[n].camera_to_world[:3, 2]))
-    chosen = dict.fromkeys([len(earlier) - 1, *order])
+    chosen = dict.fromkeys([len(earlier) - 1, *most_alike(frame.camera_to_world, earlier, VIEWS)])
     world, logarithm = _points(frame, depth_m)
     total, weight = np.zeros(3), 0.0
     for number in list(chosen)[:VIEWS]:
@@ -138,20 +136,16 @@ def _ratio(
     world: Float[np.ndarray, "n 3"], logarithm: Float[np.ndarray, "n 3"], mesh: FrameMesh
 ) -> Float[np.ndarray, "m 3"]:
     """Return the logarithms of the mesh's radiance less those of the points, at the points that it shows."""
-    local = transform_points(rigid_inverse(mesh.camera_to_world), world)
-    ahead = local[:, 2] < 0
-    xy, z = mesh.grid_camera.project(local[ahead])
-    height, width = mesh.grid_depth_m.shape
-    inside = np.all((xy >= 0) & (xy < (width, height)), axis=1)
-    column, row = xy[inside].astype(int).T
+    inside, xy, z = mesh.find(world)
+    column, row = xy.astype(int).T
     depth = mesh.grid_depth_m[row, column]
-    same = (depth > 0) & (np.abs(depth - z[inside]) < _NEAR[0] + _NEAR[1] * depth)
-    points = logarithm[ahead][inside][same]
+    same = (depth > 0) & (np.abs(depth - z) < _NEAR[0] + _NEAR[1] * depth)
+    points = logarithm[inside[same]]
     if not len(points):
         return points
     theirs, usable = mesh.texture.small
-    scale = np.divide(usable.shape[::-1], (width, height))
-    x, y = (xy[inside][same] * scale - 0.5).astype(np.float32).T[:, None]
+    scale = np.divide(usable.shape[::-1], mesh.grid_depth_m.shape[::-1])
+    x, y = (xy[same] * scale - 0.5).astype(np.float32).T[:, None]
     sampled = cv2.remap(np.dstack([theirs, usable]), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
     known = sampled[:, 3] > _KNOWN
     return sampled[known, :3] - points[known]

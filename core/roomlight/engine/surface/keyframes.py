@@ -11,7 +11,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.surface.change import contradicts
+from roomlight.engine.surface.mesh import FrameMesh, most_alike
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.errors import OptionError
 
@@ -20,6 +21,11 @@ DEFAULT_KEYFRAMES: Final = 24
 cover two pans around a room at 58 degrees of view."""
 MIN_NEW_SHARE: Final = 0.04
 """A frame is kept if at least this share of its cells is in no keyframe yet: 4 % is a pan of about 2.5 degrees."""
+_COMPARED: Final = 3
+"""Keyframes that are compared with a frame, those with the most similar heading."""
+_MOST_LOST: Final = 0.1
+"""A frame can take a keyframe's place if this share of its cells, at most, is then in no keyframe and not in the frame:
+a pan with a person who walks along would lose the room."""
 _CELL: Final = 2
 
 
@@ -81,6 +87,17 @@ class KeyframeStore:
                 return False
         self._last = None
         return True
+
+    def drop_contradicted(self, mesh: FrameMesh) -> None:
+        """Drop keyframes that this frame and the one before it contradict, if the frame can take their place."""
+        meshes, last = [key.mesh for key in self._keyframes], [key.mesh for key in self.with_last()[-1:]]
+        for number in sorted(most_alike(mesh.camera_to_world, meshes, _COMPARED), reverse=True):
+            if all(contradicts(frame, meshes[number]) for frame in (mesh, *last)):
+                cells = self._keyframes[number].cells
+                lost = cells & (self._counts == 1) & ~self._cells_of(mesh.vertices[mesh.known])
+                if lost.sum() <= _MOST_LOST * cells.sum():
+                    self._counts -= cells
+                    del self._keyframes[number]
 
     def thinned(self, count: int) -> list[Keyframe]:
         """Return at most `count` keyframes in order of time, without those that have the fewest cells of their own."""

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from roomlight.camera import Intrinsics, rigid_inverse
+from roomlight.camera import Intrinsics, rigid_inverse, transform_points
 from roomlight.conventions import panorama_rays
 from roomlight.engine.kernels.rasterise import (
     Nearest,
@@ -214,6 +214,19 @@ class FrameMesh:
         raise_vertices(depth.reshape(-1), uv, camera, self.camera_to_world.astype(np.float32), vertices)
         return vertices
 
+    def vertices_at(self, window: tuple[slice, slice]) -> Float[np.ndarray, "v 3"]:
+        """Return the vertices in a window of the grid, row by row, in world metres."""
+        return self._raised(np.ascontiguousarray(self.grid_depth_m[window]), window)
+
+    def find(
+        self, world: Float[np.ndarray, "n 3"]
+    ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 2"], Float[np.ndarray, " m"]]:
+        """Return which points (world metres) are in view, their (column, row) in the grid and their z-depth."""
+        xy, z = self.grid_camera.project(transform_points(rigid_inverse(self.camera_to_world), world))
+        height, width = self.grid_depth_m.shape
+        inside = np.flatnonzero(np.all((xy >= 0) & (xy < (width, height)), axis=1))
+        return inside, xy[inside], z[inside]
+
     @property
     def depth_view(self) -> DepthView:
         """The grid with its camera."""
@@ -233,13 +246,12 @@ class FrameMesh:
         Every second vertex is looked up; what is around one that no other shows stays.
         """
         depth, every = self.grid_depth_m, np.s_[::_EVERY, ::_EVERY]
-        corners = np.ascontiguousarray(depth[every])
-        vertices, wanted = self._raised(corners, every), corners.reshape(-1) > 0
+        vertices, wanted = self.vertices_at(every), depth[every].reshape(-1) > 0
         for other in others:
             leave_out_shown(vertices, wanted, other, _SAME_RATIO, _SAME_M)
         size = 2 * _EVERY + 1  # its neighbours on both sides
         stays = np.zeros(depth.shape, np.uint8)
-        stays[every] = wanted.reshape(corners.shape)
+        stays[every] = wanted.reshape(stays[every].shape)
         stays = cv2.dilate(stays, np.ones((size, size), np.uint8))
         depth = np.where(stays > 0, depth, np.float32(0))
         rows, columns = (np.flatnonzero(depth.any(axis=axis)) for axis in (1, 0))
@@ -380,6 +392,12 @@ def distinct(meshes: Sequence[FrameMesh]) -> list[tuple[int, FrameMesh]]:
 
     parallel_for(leave_out, len(meshes), most=1)
     return sorted(rest.items())
+
+
+def most_alike(camera_to_world: Float[np.ndarray, "4 4"], meshes: Sequence[FrameMesh], count: int) -> list[int]:
+    """Return the numbers of those meshes, at most `count`, whose heading is the most similar to a camera's."""
+    ahead = -camera_to_world[:3, 2]
+    return sorted(range(len(meshes)), key=lambda n: float(ahead @ meshes[n].camera_to_world[:3, 2]))[:count]
 
 
 def grid_faces(depth: Float[np.ndarray, "h w"]) -> tuple[Int[np.ndarray, "n 3"], Int[np.ndarray, "2 quads"]]:
