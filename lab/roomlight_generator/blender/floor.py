@@ -76,8 +76,10 @@ def _anchor(room: BlenderRoom) -> Float[np.ndarray, "3"]:
 
 
 def _floor_height(room: BlenderRoom, anchor: Float[np.ndarray, "3"]) -> float:
-    """Return the height of the lowest of the level surfaces that rays from around the anchor often meet."""
+    """Return the height of the lowest of the level surfaces that rays from places in the anchor's sight often meet."""
     offsets = np.random.default_rng(0).uniform(-1.5, 1.5, (400, 3)) * [1, 0, 1]
+    away = np.linalg.norm(offsets, axis=1)
+    offsets = offsets[distances(room, np.tile(anchor, (len(offsets), 1)), offsets / away[:, None]) > away]
     down_m = distances(room, anchor + offsets, np.tile(_DOWN, (len(offsets), 1)))
     heights = anchor[1] - down_m[np.isfinite(down_m)]
     if len(heights) == 0:

@@ -75,6 +75,16 @@ def test_depth_of_the_walls_is_exact(tmp_path):
 
 
 @with_blender
+def test_the_floor_is_not_the_ground_outside_the_wall_beside_the_camera(tmp_path):
+    path = box_room(tmp_path / "room.blend")
+    bpy = blender()
+    bpy.context.scene.camera.location.y = 0.4 - SIZE_M[1] / 2
+    bpy.ops.mesh.primitive_plane_add(size=60, location=(0, 0, -0.15))
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    assert find_floor(open_scene(path))[0] == pytest.approx(0, abs=1e-5)
+
+
+@with_blender
 def test_light_between_walls_is_that_of_the_furnace(tmp_path):
     """Walls that emit E and reflect rho shine with E / (1 - rho) everywhere: every bounce counts."""
     views = _views(box_room(tmp_path / "room.blend", albedo=0.5, walls_emit=40.0))
