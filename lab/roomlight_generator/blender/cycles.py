@@ -24,8 +24,12 @@ FORWARD_TO_CENTRE: Final = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
 """Camera axes (columns: right, up, backward) of a panorama whose middle column looks along +x."""
 _LEAST_BOUNCES: Final = 12
 _LIMITS: Final = ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces", "transparent_max_bounces")
-_KEPT: Final = ("feature_set", "shading_system", "dicing_rate", "max_subdivisions", "volume_bounces")
-"""Settings of the file's own that its materials and shapes rest on."""
+_KEPT: Final = (
+    *("feature_set", "shading_system", "dicing_rate", "max_subdivisions", "volume_bounces"),
+    *("caustics_refractive", "caustics_reflective"),
+)
+"""Settings of the file's own that its materials and shapes rest on: glass that lets shadow rays through has none of the
+caustics that would bring the same light again."""
 _LAMP_RADIUS_M: Final = 0.01
 _SUN_RAD: Final = 0.0093
 """Least size of a lamp that is a point, and the sun's."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from blender_scenes import SIZE_M, box_room, box_room_of_many_settings
+from blender_scenes import SIZE_M, box_room, box_room_of_many_settings, material
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import panorama_rays, panorama_solid_angles
@@ -103,6 +103,31 @@ def test_light_is_physical_whatever_the_settings_of_the_file(tmp_path):
     panorama = CyclesViews(room, 0.0, samples=16).panorama(np.array([0.3, 1.1, 0.4]), 16, seed=3)
     np.testing.assert_allclose(panorama.mean(axis=(0, 1)), [80, 40, 20], rtol=0.01)
     assert (panorama.min(axis=(0, 1)) > [60, 30, 15]).all()
+
+
+@with_blender
+def test_light_through_glass_that_casts_no_shadow_arrives_once(tmp_path):
+    """Where a file has no caustics, a pane that shadow rays pass lets a lamp's light through, not the dark ceiling's."""
+    path = box_room(tmp_path / "room.blend", albedo=0.05, lamps=((0, 0, 2.8, 0.2, 200.0),))
+    bpy = blender()
+    bpy.context.scene.cycles.caustics_refractive = bpy.context.scene.cycles.caustics_reflective = False
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    eye = np.array([0.0, 0.5, 0.0])
+    without = _views(path).panorama(eye, 24, seed=1)[13:]  # what lies below the eye
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    bpy.ops.mesh.primitive_cube_add(location=(0, 0, 2.0), scale=(2.49, 1.99, 0.005))
+    pane = material("pane")
+    tree = pane.node_tree
+    glass, clear, mix, path_of_light = (
+        tree.nodes.new(f"ShaderNode{kind}") for kind in ("BsdfGlass", "BsdfTransparent", "MixShader", "LightPath")
+    )
+    glass.inputs["IOR"].default_value = 1.0
+    for socket, value in zip(mix.inputs, (path_of_light.outputs["Is Shadow Ray"], glass, clear), strict=True):
+        tree.links.new(getattr(value, "outputs", [value])[0], socket)
+    tree.links.new(mix.outputs[0], tree.nodes["Material Output"].inputs["Surface"])
+    bpy.context.object.data.materials.append(pane)
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    assert _views(path).panorama(eye, 24, seed=1)[13:].mean() == pytest.approx(without.mean(), rel=0.1)
 
 
 @with_blender
