@@ -151,11 +151,11 @@ def _show_lamps(room: BlenderRoom, camera: Any) -> None:
     for world in bpy.data.worlds:
         seen = world.cycles_visibility
         seen.transmission = seen.camera or seen.diffuse
-    for thing in room.scene.objects:
-        if thing.type == "LIGHT" and thing.data.type in ("POINT", "SPOT"):
-            thing.data.shadow_soft_size = max(thing.data.shadow_soft_size, _LAMP_RADIUS_M / room.unit_m)
-        elif thing.type == "LIGHT" and thing.data.type == "SUN":
-            thing.data.angle = max(thing.data.angle, _SUN_RAD)
+    for light in bpy.data.lights:
+        if light.type in ("POINT", "SPOT"):
+            light.shadow_soft_size = max(light.shadow_soft_size, _LAMP_RADIUS_M / room.unit_m)
+        elif light.type == "SUN":
+            light.angle = max(light.angle, _SUN_RAD)
     through = bpy.data.materials.new("roomlight")
     through.use_nodes = True
     tree = through.node_tree

@@ -189,6 +189,33 @@ def test_light_objects_are_seen_with_their_power(tmp_path, kind, per_watt):
 
 
 @with_blender
+@pytest.mark.parametrize("linked", [False, True], ids=["instanced", "linked"])
+def test_lamps_without_size_of_collections_are_seen(tmp_path, linked):
+    """A point of an instanced collection, of the file itself or of a linked library."""
+    path = box_room(tmp_path / "library.blend", albedo=0.0, watts=("POINT", (0.5, 1.0, 2.7), 40.0))
+    bpy = blender()
+    lamp, scene = bpy.context.scene.objects["Point"], bpy.context.scene
+    lamp.data.shadow_soft_size = 0.0
+    asset = bpy.data.collections.new("asset")
+    asset.objects.link(lamp)
+    scene.collection.objects.unlink(lamp)
+    if linked:
+        asset.use_fake_user = True
+        bpy.ops.wm.save_as_mainfile(filepath=str(path))
+        box_room(tmp_path / "room.blend", albedo=0.0)
+        with bpy.data.libraries.load(str(path), link=True) as (_, wanted):
+            wanted.collections = ["asset"]
+        (asset,), scene = wanted.collections, bpy.context.scene
+    instance = bpy.data.objects.new("instance", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", asset
+    scene.collection.objects.link(instance)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
+    panorama = _views(tmp_path / "room.blend").panorama(np.array([0.0, 0.3, -0.6]), 120, seed=2)[..., 1]
+    flux = float((panorama * panorama_solid_angles(120)).sum())
+    assert flux == pytest.approx(40.0 / (4 * np.pi) / (0.5**2 + 2.4**2 + 0.4**2), rel=0.15)
+
+
+@with_blender
 def test_reflected_light_is_smooth_after_few_samples_and_a_lamp_sharp(tmp_path):
     """A small lamp between grey walls, of whose light few paths find the way."""
     scene = box_room(tmp_path / "room.blend", albedo=0.5, lamps=((1.5, 1.0, 2.5, 0.2, 100.0),))
