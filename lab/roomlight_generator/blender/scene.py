@@ -196,9 +196,13 @@ def _check_files(bpy: Any, graph: Any, path: Path) -> None:
         )
 
 
+def _output(owner: Any) -> Any:
+    return owner.node_tree.get_output_node("CYCLES") if owner.use_nodes and owner.node_tree is not None else None
+
+
 def _shader_nodes(owner: Any) -> list[Any]:
     """Return the nodes that the output of a material, world or lamp depends on, depth first."""
-    output = owner.node_tree.get_output_node("CYCLES") if owner.use_nodes and owner.node_tree is not None else None
+    output = _output(owner)
     seen: dict[Any, None] = {}
 
     def walk(inputs: Iterable[Any]) -> None:
@@ -235,14 +239,26 @@ def _triangles(
     mesh.vertices.foreach_get("co", points)
     mesh.loop_triangles.foreach_get("vertices", faces)
     mesh.loop_triangles.foreach_get("material_index", slots)
-    kind_of = np.array([_kind(slot.material) for slot in thing.material_slots] or [ORDINARY], np.uint8)
+    materials = [slot.material for slot in thing.material_slots] or [None]
+    kind_of = np.array([_kind(material) for material in materials], np.uint8)
+    slots = np.minimum(slots, len(materials) - 1)
     thing.to_mesh_clear()
-    if count == 0:
+    seen = np.array([_has_surface(material) for material in materials])[slots]
+    if not seen.any():
         return None
     matrix = np.array(instance.matrix_world)
     placed = points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
     world = (placed @ BLENDER_TO_WORLD.T * unit_m).astype(np.float32)
-    return world, faces.reshape(-1, 3), kind_of[np.minimum(slots, len(kind_of) - 1)]
+    return world, faces.reshape(-1, 3)[seen], kind_of[slots[seen]]
+
+
+def _has_surface(material: Any) -> bool:
+    """Return whether a material is more than a volume or a transparent shader."""
+    output = None if material is None else _output(material)
+    if output is None:
+        return True
+    shaders = [link.from_node.type for link in output.inputs["Surface"].links if not link.is_muted]
+    return shaders != ["BSDF_TRANSPARENT"] if shaders else not output.inputs["Volume"].is_linked
 
 
 def _kind(material: Any) -> int:

@@ -85,6 +85,28 @@ def test_the_floor_is_not_the_ground_outside_the_wall_beside_the_camera(tmp_path
 
 
 @with_blender
+@pytest.mark.parametrize(("shader", "socket"), [("VolumeScatter", "Volume"), ("BsdfTransparent", "Surface")])
+def test_fog_and_transparent_faces_are_no_surfaces(tmp_path, shader, socket):
+    """A cube of the material, and one of whose faces the first has it."""
+    path = box_room(tmp_path / "room.blend")
+    bpy = blender()
+    clear = material("clear")
+    tree = clear.node_tree
+    out = tree.nodes["Material Output"]
+    tree.links.remove(out.inputs["Surface"].links[0])
+    tree.links.new(tree.nodes.new(f"ShaderNode{shader}").outputs[0], out.inputs[socket])
+    for materials in ([clear], [clear, bpy.data.materials["walls"]]):
+        bpy.ops.mesh.primitive_cube_add(size=1, location=(0, 0, 1.4))
+        mesh = bpy.context.object.data
+        for made in materials:
+            mesh.materials.append(made)
+        for face in mesh.polygons[1:]:
+            face.material_index = 1
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    assert len(open_scene(path).kinds) == 12 + 10
+
+
+@with_blender
 def test_light_between_walls_is_that_of_the_furnace(tmp_path):
     """Walls that emit E and reflect rho shine with E / (1 - rho) everywhere: every bounce counts."""
     views = _views(box_room(tmp_path / "room.blend", albedo=0.5, walls_emit=40.0))
