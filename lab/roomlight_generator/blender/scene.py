@@ -179,6 +179,7 @@ def _check_files(bpy: Any, graph: Any, path: Path) -> None:
     """
     unpacked = [library.filepath for library in bpy.data.libraries if library.packed_file is None]
     files = {name: bpy.path.abspath(name) for name in unpacked}
+    images: dict[Any, str] = {}
     for owner in (part.original for part in graph.ids):
         if isinstance(owner, bpy.types.Material | bpy.types.World | bpy.types.Light):
             for node in _shader_nodes(owner):
@@ -186,12 +187,20 @@ def _check_files(bpy: Any, graph: Any, path: Path) -> None:
                     file = bpy.path.abspath(node.filepath, library=node.id_data.library)
                     files[node.filepath or node.name] = file
                 image = getattr(node, "image", None)
-                if image is not None and image.packed_file is None and image.source in ("FILE", "MOVIE", "TILED"):
-                    files[image.filepath or image.name] = image.filepath_from_user()
-    missing = sorted(name for name, file in files.items() if not Path(file).is_file())
+                if image is not None and image.source in ("FILE", "MOVIE", "SEQUENCE", "TILED"):
+                    images[image] = image.filepath or image.name
+                    if image.packed_file is None:
+                        file = bpy.path.abspath(image.filepath, library=image.library)
+                        files[images[image]] = image.filepath_from_user() if image.source == "TILED" else file
+    missing = {name for name, file in files.items() if not Path(file).is_file()}
+    for image, name in images.items():
+        if image.source != "SEQUENCE" and not any(image.size):  # a sequence's is that of frame 0
+            missing.add(name)
+        image.buffers_free()
     if missing:
         raise DatasetError(
-            f"{path}: textures, IES files or libraries of it are missing ({len(missing)}): {', '.join(missing[:4])}; "
+            f"{path}: textures, IES files or libraries of it are missing or cannot be read ({len(missing)}): "
+            f"{', '.join(sorted(missing)[:4])}; "
             "find them in Blender (File > External Data > Find Missing Files), or take them out, and save the scene"
         )
 

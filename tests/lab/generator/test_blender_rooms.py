@@ -14,6 +14,7 @@ from roomlight.conventions import panorama_rays, panorama_solid_angles
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import LIGHT, ORDINARY
 from roomlight.errors import DatasetError
+from roomlight.images import write_png
 from roomlight_generator.blender.cycles import CyclesViews
 from roomlight_generator.blender.floor import find_floor
 from roomlight_generator.blender.render import render_room
@@ -172,8 +173,29 @@ def test_a_room_without_light_or_with_a_missing_texture_is_refused(tmp_path):
     profile.mode, profile.filepath = "EXTERNAL", "//lamp.ies"
     tree.links.new(profile.outputs[0], tree.nodes["Diffuse BSDF"].inputs["Roughness"])
     bpy.ops.wm.save_as_mainfile(filepath=str(scene))
-    with pytest.raises(DatasetError, match=r"IES files or libraries .* missing \(2\): //lamp\.ies, //wood\.png"):
+    with pytest.raises(DatasetError, match=r"IES files or libraries .* missing .*\(2\): //lamp\.ies, //wood\.png"):
         open_scene(scene)
+
+
+@with_blender
+def test_textures_that_cannot_be_read_are_refused(tmp_path):
+    """Pointers to large files that were not downloaded, and sequences that are missing; frame 10 is no fault."""
+    path = box_room(tmp_path / "room.blend")
+    bpy = blender()
+    (tmp_path / "pointer.png").write_text("version https://git-lfs.github.com/spec/v1")
+    write_png(tmp_path / "good0010.png", np.zeros((2, 2, 3), np.uint8))
+    tree = bpy.data.materials["walls"].node_tree
+    socket = tree.nodes["Diffuse BSDF"].inputs["Color"]
+    for name, source in (("pointer.png", "FILE"), ("bad0010.png", "SEQUENCE"), ("good0010.png", "SEQUENCE")):
+        texture, mix = tree.nodes.new("ShaderNodeTexImage"), tree.nodes.new("ShaderNodeMixRGB")
+        texture.image = bpy.data.images.new(name, 2, 2)
+        texture.image.source, texture.image.filepath = source, f"//{name}"
+        tree.links.new(texture.outputs[0], mix.inputs[1])
+        tree.links.new(mix.outputs[0], socket)
+        socket = mix.inputs[2]
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    with pytest.raises(DatasetError, match=r"cannot be read \(2\): //bad0010\.png, //pointer\.png;"):
+        open_scene(path)
 
 
 @with_blender
