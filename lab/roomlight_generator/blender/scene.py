@@ -164,7 +164,10 @@ def _show_what_is_rendered(bpy: Any, scene: Any) -> None:
         nested.extend(part.children)
     for thing in layer.objects:
         thing.hide_set(False)
+    for particles in bpy.data.particles:
+        particles.display_percentage = 100
     for thing in bpy.data.objects:
+        thing.show_instancer_for_viewport = thing.show_instancer_for_render
         for modifier in thing.modifiers:
             modifier.show_viewport = modifier.show_render
             if modifier.type in ("SUBSURF", "MULTIRES"):

@@ -108,6 +108,22 @@ def test_fog_and_transparent_faces_are_no_surfaces(tmp_path, shader, socket):
 
 
 @with_blender
+def test_particles_are_those_of_renders(tmp_path):
+    """Cubes on a plane that no render shows; the viewport shows it, and a tenth of them."""
+    path = box_room(tmp_path / "room.blend")
+    bpy = blender()
+    bpy.ops.mesh.primitive_plane_add(size=2, location=(0, 0, 1))
+    emitter = bpy.context.object
+    emitter.modifiers.new("cubes", "PARTICLE_SYSTEM")
+    cubes = emitter.particle_systems[0].settings
+    cubes.type, cubes.use_advanced_hair, cubes.count, cubes.display_percentage = "HAIR", True, 20, 10
+    cubes.render_type, cubes.instance_object = "OBJECT", bpy.data.objects["Cube"]
+    emitter.show_instancer_for_render = False
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    assert len(open_scene(path).kinds) == 12 * (1 + 20)
+
+
+@with_blender
 def test_light_between_walls_is_that_of_the_furnace(tmp_path):
     """Walls that emit E and reflect rho shine with E / (1 - rho) everywhere: every bounce counts."""
     views = _views(box_room(tmp_path / "room.blend", albedo=0.5, walls_emit=40.0))
