@@ -142,7 +142,7 @@ def _show_lamps(room: BlenderRoom, camera: Any) -> None:
     """Let the camera see light objects, which Cycles hides from a camera's rays but not from refracted ones.
 
     The camera looks through a small box of refractive index 1 that nothing else sees: what it sees or what lights
-    surfaces is visible to refracted rays. Lamps without size get one.
+    surfaces is visible to refracted rays. Lamps without size get one, and all cast shadows.
     """
     bpy, half = blender(), 0.02 / room.unit_m
     for thing in bpy.data.objects:
@@ -152,6 +152,7 @@ def _show_lamps(room: BlenderRoom, camera: Any) -> None:
         seen = world.cycles_visibility
         seen.transmission = seen.camera or seen.diffuse
     for light in bpy.data.lights:
+        light.use_shadow = True
         if light.type in ("POINT", "SPOT"):
             light.shadow_soft_size = max(light.shadow_soft_size, _LAMP_RADIUS_M / room.unit_m)
         elif light.type == "SUN":

@@ -276,6 +276,15 @@ def test_lamps_without_size_of_collections_are_seen(tmp_path, linked):
 
 
 @with_blender
+def test_a_lamp_that_casts_no_shadow_does_not_shine_through_walls(tmp_path):
+    path = box_room(tmp_path / "room.blend", watts=("POINT", (0, 0, 4), 100.0))
+    bpy = blender()
+    bpy.data.lights["Point"].use_shadow = False
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    assert _views(path).panorama(np.array([0.0, 1.5, 0.0]), 16, seed=1).max() < 1e-3
+
+
+@with_blender
 def test_reflected_light_is_smooth_after_few_samples_and_a_lamp_sharp(tmp_path):
     """A small lamp between grey walls, of whose light few paths find the way."""
     scene = box_room(tmp_path / "room.blend", albedo=0.5, lamps=((1.5, 1.0, 2.5, 0.2, 100.0),))
