@@ -15,6 +15,7 @@ from annotated_types import Ge, Interval
 
 from roomlight.dataset.folder import (
     FRAMES,
+    MANIFEST,
     DatasetSettings,
     create_folder,
     locked,
@@ -27,6 +28,7 @@ from roomlight.dataset.shards import is_finished, read_index, shard_path
 from roomlight.errors import DatasetError, OptionError
 from roomlight.rules import check_options
 from roomlight.threads import core_count
+from roomlight_generator.blender.check import check_scenes
 from roomlight_generator.furniture_digest import furniture_digest
 from roomlight_generator.panoramas.library import files_digest, panoramas_digest, split_files
 from roomlight_generator.worker import ShardTask
@@ -168,7 +170,7 @@ def generate(
     Raises:
         OutputError: if the folder holds other files, is locked by another process or cannot be written.
         DatasetError: if the dataset was made with other settings, a shard to continue is damaged, a room cannot be
-            made, or the folder of panoramas has none for the split.
+            made, Blender scenes are refused, or the folder of panoramas has none for the split.
     """
     if options.panoramas is not None:
         split_files(options.panoramas, options.split)  # says now, not from a worker, that there are none
@@ -183,10 +185,12 @@ def generate(
         renderer=options.renderer_name,
         panoramas=None if options.panoramas is None else panoramas_digest(options.panoramas),
         furniture_share=None if options.panoramas is None else options.furniture_share,
-        scenes=files_digest((path.name, path) for path in options.scenes) if options.scenes else None,
+        scenes=", ".join(f"{path.name} {files_digest([('', path)])[:12]}" for path in options.scenes) or None,
         samples=options.samples if options.scenes else None,
     )
     with locked(out):
+        if options.renderer_name == BLENDER_RENDERER and not (out / MANIFEST).exists():
+            check_scenes(options.scenes)  # a scene that is refused later could not be left out any more
         manifest = update_manifest(out, settings, split=options.split, sequences=options.sequences)
         asked = manifest.sequences[options.split]
         shards, all_shards = _shards(out, options, options.sequences), _shards(out, options, asked)

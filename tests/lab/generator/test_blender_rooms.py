@@ -1,6 +1,7 @@
 """Blender scenes: depth, direction and light against closed form, and whole recordings. Skipped without `bpy`."""
 
 import importlib.util
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -30,6 +31,12 @@ def _views(path: Path) -> CyclesViews:
     room = open_scene(path)
     floor_y, _ = find_floor(room)
     return CyclesViews(room, floor_y, samples=16)
+
+
+def _command(*arguments) -> subprocess.CompletedProcess[str]:
+    """Run `dataset render` in a process that has not imported `bpy`, as its users do."""
+    command = [Path(sys.prefix) / "bin/python", "-c", "from roomlight_cli.main import main; main()"]
+    return subprocess.run([*command, "dataset", "render", *arguments], capture_output=True, text=True, check=False)
 
 
 def _pose(forward, position) -> np.ndarray:
@@ -146,7 +153,7 @@ def test_light_is_physical_whatever_the_settings_of_the_file(tmp_path):
 
 @with_blender
 def test_light_through_glass_that_casts_no_shadow_arrives_once(tmp_path):
-    """Where a file has no caustics, a pane that shadow rays pass lets a lamp's light through, not the dark ceiling's."""
+    """Where a file has no caustics, a pane that shadow rays pass lets a lamp's light through, not a dark ceiling's."""
     path = box_room(tmp_path / "room.blend", albedo=0.05, lamps=((0, 0, 2.8, 0.2, 200.0),))
     bpy = blender()
     bpy.context.scene.cycles.caustics_refractive = bpy.context.scene.cycles.caustics_reflective = False
@@ -317,18 +324,29 @@ def test_very_bright_reflected_light_is_not_denoised(tmp_path):
 
 @with_blender
 def test_a_scene_becomes_a_dataset_that_is_not_made_twice(tmp_path):
-    """The command, in a process that has not imported `bpy`, as its users run it."""
     scene = box_room(tmp_path / "room.blend", lamps=((1.0, 1.0, 2.8, 0.3, 60.0), (-1.5, -1.0, 1.0, 0.2, 20.0)))
-    command = [Path(sys.prefix) / "bin/python", "-c", "from roomlight_cli.main import main; main()"]
-    command += ["dataset", "render", scene, "--out", tmp_path / "rooms", "--frames", "2", "--samples", "1"]
-    first, second = (subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(2))
-    assert "1 made" in first
-    assert "already has 1 train sequence\n" in second
+    first, second = (_command(scene, "--out", tmp_path / "rooms", "--frames", "2", "--samples", "1") for _ in range(2))
+    assert "1 made" in first.stdout
+    assert "already has 1 train sequence\n" in second.stdout
     recording = Dataset(tmp_path / "rooms").read(0)
     assert recording.facts["scene"] == "room.blend"
     assert recording.probe_panoramas.shape == (3, 120, 240, 3)
     assert (recording.depth_mm > 0).all()
     assert 0.1 < np.percentile(recording.colour[0].max(-1), 80) / 255 < 1
+
+
+@with_blender
+def test_all_scenes_are_checked_before_one_is_rendered(tmp_path):
+    (tmp_path / "broken.blend").write_bytes(b"not a scene")
+    good = box_room(tmp_path / "room.blend")
+    blender().data.objects["Cube"].scale.z = 0.1
+    blender().ops.wm.save_as_mainfile(filepath=str(tmp_path / "low.blend"))
+    scenes = good, tmp_path / "broken.blend", tmp_path / "low.blend"
+    run = _command(*scenes, "--out", tmp_path / "rooms")
+    says = r"[^\n]*broken\.blend: Blender[^\n]*\n[^\n]*low\.blend: [^\n]*\n2 of 3 scenes are refused"
+    assert run.returncode != 0
+    assert re.search(says, run.stderr)
+    assert not (tmp_path / "rooms" / "dataset.json").exists()
 
 
 @with_blender

@@ -225,6 +225,15 @@ def test_other_settings_are_named_and_nothing_changes(change, says, undisturbed)
 
 
 @pytest.mark.usefixtures("no_workers")
+def test_other_scenes_are_named(tmp_path):
+    for name in ("hall", "bath"):
+        (tmp_path / name).write_bytes(b"")
+    generate(tmp_path / "out", options(2, scenes=(tmp_path / "hall", tmp_path / "bath")))
+    with pytest.raises(DatasetError, match=r"scenes hall \w{12}, bath \w{12}, not hall \w{12};"):
+        generate(tmp_path / "out", options(2, scenes=(tmp_path / "hall",)))
+
+
+@pytest.mark.usefixtures("no_workers")
 def test_the_settings_include_the_furniture_by_its_content(tmp_path):
     library = tmp_path / "chairs.sh3f"
     library.write_bytes(b"chairs")
