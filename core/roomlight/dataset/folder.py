@@ -50,7 +50,7 @@ class DatasetSettings:
         generator: `GENERATOR`.
         panoramas: SHA-256 of the folder of panoramas that light the rooms; None for generated light.
         furniture_share: Share of the rooms lit by panoramas that have furniture; None for generated light.
-        scenes: Names of the Blender files that are the rooms, and the start of their SHA-256; None for rooms of our own.
+        scenes: Names of the Blender files of the rooms, and the start of their SHA-256; None for rooms of our own.
         samples: Paths a pixel of frames of Blender files; None for rooms of our own.
     """
 

@@ -42,12 +42,17 @@ def find_floor(room: BlenderRoom) -> tuple[float, FreeSpace]:
 
     steps = np.arange(-REACH_M, REACH_M, CELL_M)
     x, z = np.meshgrid(anchor[0] + steps, anchor[2] + steps)
-    walkable = _clear_floor(FreeSpace(np.ones(x.shape, bool), (float(x[0, 0]), float(z[0, 0])), CELL_M, reach), x, z)
-    walkable = _nearest_region(walkable)
+    clear, cells = _clear_floor(
+        FreeSpace(np.ones(x.shape, bool), (float(x[0, 0]), float(z[0, 0])), CELL_M, reach), x, z
+    )
+    walkable = _nearest_region(clear)
     if walkable.sum() < _LEAST_CELLS:
+        seen, covered, free = (f"{count * CELL_M**2:.1f} m2" for count in cells)
         raise DatasetError(
-            f"{room.path}: only {walkable.sum() * CELL_M**2:.1f} m2 of free floor about ({anchor[0]:.1f}, "
-            f"{-anchor[2]:.1f}) metres in Blender's plan; put the scene's camera into the room, above free floor"
+            f"{room.path}: too little free floor about ({anchor[0]:.1f}, {-anchor[2]:.1f}) metres in Blender's plan: "
+            f"{seen} is seen from {_BODY_M[-1]:g} m above, {covered} of that has a ceiling within {REACH_M:g} m, and "
+            f"{free} of that room for a body, but {_LEAST_CELLS * CELL_M**2:.1f} m2 in a piece is needed; put the "
+            f"scene's camera into the room, above free floor, or check the scene's unit scale ({room.unit_m:g} m)"
         )
     return floor_y, FreeSpace(walkable, (float(x[0, 0]), float(z[0, 0])), CELL_M, reach)
 
@@ -90,18 +95,22 @@ def _floor_height(room: BlenderRoom, anchor: Float[np.ndarray, "3"]) -> float:
     return float(np.median(heights[np.abs(heights - lowest) <= _LEVEL_M]))
 
 
-def _clear_floor(free: FreeSpace, x: Float[np.ndarray, "n m"], z: Float[np.ndarray, "n m"]) -> Bool[np.ndarray, "n m"]:
-    """Return the cells with bare floor below them, a ceiling above and room for a body."""
+def _clear_floor(
+    free: FreeSpace, x: Float[np.ndarray, "n m"], z: Float[np.ndarray, "n m"]
+) -> tuple[Bool[np.ndarray, "n m"], list[int]]:
+    """Return the cells with bare floor below them, a ceiling above and room for a body, and how many pass each test."""
     count = x.size
     eyes = np.stack([x.ravel(), np.full(count, _BODY_M[-1]), z.ravel()], axis=1).astype(np.float32)
     down_m = free.distances(eyes, np.tile(_DOWN, (count, 1)))
     walkable = np.abs(down_m - _BODY_M[-1]) <= _LEVEL_M
-    walkable[walkable] = free.distances(eyes[walkable], np.tile(-_DOWN, (int(walkable.sum()), 1))) < REACH_M
+    counts = [int(walkable.sum())]
+    walkable[walkable] = free.distances(eyes[walkable], np.tile(-_DOWN, (counts[0], 1))) < REACH_M
+    counts.append(int(walkable.sum()))
     for height in _BODY_M:
         places = np.flatnonzero(walkable)
         eyes[:, 1] = height
         walkable[places] = free.clear(eyes[places], CLEARANCE_M, rays=64)
-    return walkable.reshape(x.shape)
+    return walkable.reshape(x.shape), [*counts, int(walkable.sum())]
 
 
 def _nearest_region(walkable: Bool[np.ndarray, "n m"]) -> Bool[np.ndarray, "n m"]:

@@ -131,6 +131,23 @@ def test_particles_are_those_of_renders(tmp_path):
 
 
 @with_blender
+@pytest.mark.parametrize(
+    ("scale", "areas"),
+    [((1, 1, 0.4), ("0.0", "0.0", "0.0")), ((1, 1, 4), ("20.9", "0.0", "0.0")), ((0.06, 1, 1), ("1.2", "1.2", "0.0"))],
+    ids=["low", "high", "narrow"],
+)
+def test_where_no_floor_is_free_the_error_says_what_lacks(tmp_path, scale, areas):
+    path = box_room(tmp_path / "room.blend")
+    cube = blender().data.objects["Cube"]
+    cube.scale = scale
+    cube.location.z *= scale[2]
+    blender().ops.wm.save_as_mainfile(filepath=str(path))
+    says = "{} m2 is seen from 1.6 m above, {} m2 of that has a ceiling within 8 m, and {} m2 of that room for a body"
+    with pytest.raises(DatasetError, match=re.escape(says.format(*areas))):
+        find_floor(open_scene(path))
+
+
+@with_blender
 def test_light_between_walls_is_that_of_the_furnace(tmp_path):
     """Walls that emit E and reflect rho shine with E / (1 - rho) everywhere: every bounce counts."""
     views = _views(box_room(tmp_path / "room.blend", albedo=0.5, walls_emit=40.0))
