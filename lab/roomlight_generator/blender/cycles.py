@@ -30,7 +30,7 @@ _KEPT: Final = (
 )
 """Settings of the file's own that its materials and shapes rest on: glass that lets shadow rays through has none of the
 caustics that would bring the same light again."""
-_LAMP_RADIUS_M: Final = 0.01
+_LAMP_RADIUS_M: Final = 0.03
 _SUN_RAD: Final = 0.0093
 """Least size of a lamp that is a point, and the sun's."""
 

@@ -300,6 +300,17 @@ def test_lamps_without_size_of_collections_are_seen(tmp_path, linked):
 
 
 @with_blender
+def test_a_point_six_metres_away_is_seen_with_its_power(tmp_path):
+    """At the command's default of 64 samples."""
+    path = box_room(tmp_path / "room.blend", albedo=0.0, watts=("POINT", (2.4, 1.9, 2.9), 40.0))
+    blender().data.lights["Point"].shadow_soft_size = 0.0
+    blender().ops.wm.save_as_mainfile(filepath=str(path))
+    panorama = CyclesViews(open_scene(path), 0.0, samples=64).panorama(np.array([-2.2, 0.2, 1.7]), 120, seed=0)
+    flux = float((panorama[..., 1] * panorama_solid_angles(120)).sum())
+    assert flux == pytest.approx(40.0 / (4 * np.pi) / (4.6**2 + 2.7**2 + 3.6**2), rel=0.15)
+
+
+@with_blender
 def test_a_lamp_that_casts_no_shadow_does_not_shine_through_walls(tmp_path):
     path = box_room(tmp_path / "room.blend", watts=("POINT", (0, 0, 4), 100.0))
     bpy = blender()
