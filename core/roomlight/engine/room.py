@@ -98,9 +98,9 @@ class Room:
     def keep(self, index: int, mesh: FrameMesh, *, turn: int) -> bool:
         """Show the keyframes what the mesh knows better, and offer it as a keyframe; return whether it became one.
 
-        `turn` is the number of the frame in its session (`update_keyframes`).
+        `turn` is the number of the frame in its session: another keyframe comes first each time.
         """
-        self.keyframes.drop_contradicted(mesh)
+        self.keyframes.drop_contradicted(mesh, turn=turn)
         update_keyframes(mesh, [key.mesh for key in self.keyframes], turn=turn)
         return self.keyframes.offer(index, mesh)
 

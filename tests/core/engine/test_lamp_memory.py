@@ -79,8 +79,8 @@ def test_a_switched_lamp_shows_within_three_frames(model, before, after):
 def test_light_at_a_point_asked_for_late_follows_a_switched_lamp(before, after):
     session, other = (session_of(probes=[PROBE], height=HEIGHT) for _ in range(2))
     light_after(session, before, *np.linspace(-4, 4, 5))
-    light_after(session, after, *np.linspace(-4, 4, 5))
-    light_after(other, after, *np.linspace(-4, 4, 5))
+    light_after(session, after, *np.linspace(-4, 4, 9))
+    light_after(other, after, *np.linspace(-4, 4, 9))
     assert energy(session.light_at(PROBE).reflection) == pytest.approx(
         energy(other.light_at(PROBE).reflection), rel=0.1
     )

@@ -22,7 +22,7 @@ cover two pans around a room at 58 degrees of view."""
 MIN_NEW_SHARE: Final = 0.04
 """A frame is kept if at least this share of its cells is in no keyframe yet: 4 % is a pan of about 2.5 degrees."""
 _COMPARED: Final = 3
-"""Keyframes that are compared with a frame, those with the most similar heading."""
+"""Keyframes that frames are compared with in turn: those with the most similar heading."""
 _MOST_LOST: Final = 0.1
 """A frame can take a keyframe's place if this share of its cells, at most, is then in no keyframe and not in the frame:
 a pan with a person who walks along would lose the room."""
@@ -88,16 +88,21 @@ class KeyframeStore:
         self._last = None
         return True
 
-    def drop_contradicted(self, mesh: FrameMesh) -> None:
-        """Drop keyframes that this frame and the one before it contradict, if the frame can take their place."""
-        meshes, last = [key.mesh for key in self._keyframes], [key.mesh for key in self.with_last()[-1:]]
-        for number in sorted(most_alike(mesh.camera_to_world, meshes, _COMPARED), reverse=True):
-            if all(contradicts(frame, meshes[number]) for frame in (mesh, *last)):
-                cells = self._keyframes[number].cells
-                lost = cells & (self._counts == 1) & ~self._cells_of(mesh.vertices[mesh.known])
-                if lost.sum() <= _MOST_LOST * cells.sum():
-                    self._counts -= cells
-                    del self._keyframes[number]
+    def drop_contradicted(self, mesh: FrameMesh, *, turn: int) -> None:
+        """Drop a keyframe that this frame and the one before it contradict, if the frame can take its place.
+
+        Each turn compares another one of the keyframes most alike.
+        """
+        if not self._keyframes:
+            return
+        alike = most_alike(mesh.camera_to_world, [key.mesh for key in self._keyframes], _COMPARED)
+        number = alike[turn % len(alike)]
+        keyframe, last = self._keyframes[number], self.with_last()[-1]
+        if contradicts(mesh, keyframe.mesh) and contradicts(last.mesh, keyframe.mesh):
+            lost = keyframe.cells & (self._counts == 1) & ~self._cells_of(mesh.vertices[mesh.known])
+            if lost.sum() <= _MOST_LOST * keyframe.cells.sum():
+                self._counts -= keyframe.cells
+                del self._keyframes[number]
 
     def thinned(self, count: int) -> list[Keyframe]:
         """Return at most `count` keyframes in order of time, without those that have the fewest cells of their own."""
