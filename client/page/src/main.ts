@@ -5,7 +5,7 @@ import { Api, isAway } from "./lib/api";
 import { LiveSession } from "./live";
 import { PlacedObjects } from "./objects";
 import { parts } from "./lib/parts";
-import { cameraPanel, chosen, EARLIER } from "./panels/camera";
+import { cameraPanel, EARLIER, putChosen } from "./panels/camera";
 import { askForToken, dialogs } from "./panels/dialogs";
 import { downloadsPanel } from "./panels/downloads";
 import { filmPanel } from "./panels/film";
@@ -183,7 +183,7 @@ function pick(tool: "object" | "probe", { point, normal }: SurfacePoint): void {
   if (tool === "probe") {
     addProbe(point.clone().addScaledVector(normal, PROBE_ABOVE_M).toArray());
   } else if (state.shownEntry.value === null) {
-    objects.put({ ...chosen(), place: { position: point.toArray() } });
+    putChosen(objects, { position: point.toArray() });
   } else {
     notify(EARLIER, true);
   }

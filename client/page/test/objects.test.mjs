@@ -326,6 +326,19 @@ test("an uploaded GLB file is placed, and the 3D view shows it in the light of i
   openAgainNext();
 });
 
+test("without a chosen GLB file nothing is placed, and a button asks for one", async () => {
+  await Promise.all([page.waitForEvent("filechooser"), page.selectOption("#object-shape", "file")]); // no dialog in Safari
+  await page.click("#picture-button");
+  assert.match(await page.locator(".notice").innerText(), /Nothing is placed: choose a GLB file/);
+  assert.equal(await page.locator("#objects .chip").count(), 0);
+  const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.click("#object-choose")]);
+  await chooser.setFiles({ name: "corner.glb", mimeType: "model/gltf-binary", buffer: tetrahedron() });
+  await page.waitForFunction(() => document.getElementById("object-shape").selectedOptions[0].textContent === "corner.glb");
+  await page.selectOption("#object-shape", "sphere");
+  assert.ok(await page.isHidden("#object-choose"));
+  openAgainNext();
+});
+
 /** Upload a GLB file and place it on the floor. */
 async function placeFile(file) {
   const before = await pixelsOf(page, "#picture-image");

@@ -77,7 +77,7 @@ export function cameraPanel(api: Api, state: State, objects: PlacedObjects): voi
   const place = (x: number, y: number) => {
     const intrinsics = state.camera.value?.intrinsics;
     if (intrinsics) {
-      objects.put({ ...chosen(), place: { pixel: [x * intrinsics.width, y * intrinsics.height] } });
+      putChosen(objects, { pixel: [x * intrinsics.width, y * intrinsics.height] });
     }
   };
 
@@ -192,16 +192,25 @@ function objectTools(state: State, objects: PlacedObjects): void {
   material.addEventListener("change", () => objects.selected.value && objects.setMaterial(objects.selected.value, material.value as Surface));
 }
 
-/** Ask for a GLB file when that is chosen, and upload it; without one there is a sphere. */
+/** Ask for a GLB file when that is chosen, and upload it; when the question is cancelled, a sphere is chosen. */
 function listenToFile(api: Api, state: State): void {
   const shape = byId<HTMLSelectElement>("object-shape");
   const input = byId<HTMLInputElement>("object-file");
+  const choose = byId<HTMLButtonElement>("object-choose"); // Safari opens no file dialog when a list changes
   const option = shape.querySelector<HTMLOptionElement>('option[value="file"]')!;
   const without = () => {
     shape.value = chosenFile ? "file" : "sphere";
     showUsual(shape.value as Shape);
+    showChoose();
   };
-  shape.addEventListener("change", () => shape.value === "file" && input.click());
+  const showChoose = () => (choose.hidden = shape.value !== "file");
+  shape.addEventListener("change", () => {
+    showChoose();
+    if (shape.value === "file") {
+      input.click();
+    }
+  });
+  choose.addEventListener("click", () => input.click());
   input.addEventListener("cancel", without);
   input.addEventListener("change", async () => {
     const file = input.files?.[0];
@@ -213,6 +222,7 @@ function listenToFile(api: Api, state: State): void {
         option.textContent = file.name;
         shape.value = "file";
         showUsual("file");
+        showChoose();
         showNotes(byId<HTMLDetailsElement>("object-notes"), file.name, notes);
       }
     } catch (error) {
@@ -222,13 +232,22 @@ function listenToFile(api: Api, state: State): void {
   });
 }
 
+/** Place the object that the form describes, or move the selected one. Without a chosen file there is none to place. */
+export function putChosen(objects: PlacedObjects, place: PlacedObject["place"]): void {
+  const isMissing = chosenFile === null && byId<HTMLSelectElement>("object-shape").value === "file";
+  if (isMissing && objects.selected.value === null) {
+    return notify("Nothing is placed: choose a GLB file first.", true);
+  }
+  objects.put({ ...chosen(), place });
+}
+
 /** The object that the form describes. */
-export function chosen(): Pick<PlacedObject, "shape" | "file" | "material" | "size_m"> {
+function chosen(): Pick<PlacedObject, "shape" | "file" | "material" | "size_m"> {
   const value = (id: string) => byId<HTMLSelectElement | HTMLInputElement>(id).value;
   const shape = value("object-shape") as Shape;
   const isOwnSize = shape === "file" && value("object-size") === centimetres(usualSize_m(shape));
   return {
-    shape: shape === "file" && !chosenFile ? "sphere" : shape,
+    shape,
     file: shape === "file" ? chosenFile : null,
     material: value("object-material") as Surface,
     size_m: isOwnSize ? null : (typedSize_m() ?? usualSize_m(shape)),
