@@ -28,6 +28,19 @@ test("the page asks for the token, and again for a wrong one", async () => {
   await waitForLight(page); // kept for this tab
 });
 
+test("a browser that keeps nothing shows the page with the token of the address", async () => {
+  const page = await browser.newPage();
+  await page.addInitScript(() => {
+    const get = () => {
+      throw new DOMException("The operation is insecure.", "SecurityError"); // cookies are blocked
+    };
+    ["sessionStorage", "localStorage"].forEach((name) => Object.defineProperty(globalThis, name, { get }));
+  });
+  await page.goto(`${PAGE_URL}/#token=${process.env.PAGE_TOKEN}&session=room`);
+  await waitForLight(page);
+  await page.close();
+});
+
 test("a token in the address is used and removed from it; a phone that has been paired is listed and removed", async () => {
   const headers = { authorization: `Bearer ${process.env.PAGE_TOKEN}`, "content-type": "application/json" };
   const { url } = await (await fetch(`${PAGE_URL}/v1/pairing`, { method: "POST", headers })).json();

@@ -48,14 +48,14 @@ export class Api {
     this.tokenValue = given.get("token");
     this.code = given.get("pair");
     if (this.tokenValue) {
-      sessionStorage.setItem(TOKEN_KEY, this.tokenValue);
+      keepToken("sessionStorage", this.tokenValue);
     }
     if (this.tokenValue || this.code) {
       given.delete("token");
       given.delete("pair");
       history.replaceState(null, "", `${location.pathname}${location.search}${given.size > 0 ? `#${given}` : ""}`);
     }
-    this.tokenValue ??= sessionStorage.getItem(TOKEN_KEY) ?? localStorage.getItem(TOKEN_KEY);
+    this.tokenValue ??= keptToken("sessionStorage") ?? keptToken("localStorage");
     if (this.tokenValue !== null && !isToken(this.tokenValue)) {
       this.tokenValue = null; // no header can have it
     }
@@ -70,7 +70,7 @@ export class Api {
     this.code = null; // it works once
     try {
       const { token } = await this.json<{ token: string }>("v1/phones", { method: "POST", ...body });
-      localStorage.setItem(TOKEN_KEY, token);
+      keepToken("localStorage", token);
       this.token = token;
     } catch (error) {
       if (!this.tokenValue) {
@@ -86,7 +86,7 @@ export class Api {
 
   set token(token: string) {
     this.tokenValue = token;
-    sessionStorage.setItem(TOKEN_KEY, token);
+    keepToken("sessionStorage", token);
   }
 
   /** Our client for this server. */
@@ -213,6 +213,23 @@ export class Api {
     });
     const headers = { ...request.headers, ...(this.session !== null && { "x-session-id": this.session }) };
     return http.send({ method: "GET", path, ...request, headers });
+  }
+}
+
+/** The token that the browser keeps; null without one, and where the visitor blocks what sites keep. */
+function keptToken(storage: "sessionStorage" | "localStorage"): string | null {
+  try {
+    return globalThis[storage].getItem(TOKEN_KEY);
+  } catch {
+    return null; // reading the property throws already
+  }
+}
+
+function keepToken(storage: "sessionStorage" | "localStorage", token: string): void {
+  try {
+    globalThis[storage].setItem(TOKEN_KEY, token);
+  } catch {
+    // this page has it until it is closed
   }
 }
 
