@@ -37,6 +37,7 @@ export class LiveSession {
     readonly id: string,
     private readonly report: (error: unknown) => void,
     private readonly onJoined: () => void,
+    private readonly onOpen: () => void,
   ) {}
 
   /** Whether frames, light and errors of this session are no longer wanted. */
@@ -65,6 +66,7 @@ export class LiveSession {
         onClose: (error) => this.stream && void this.end(error),
       });
       this.missingSince = null;
+      this.onOpen();
       if (isBack) {
         this.state.liveProbes.value.forEach(({ name, position }) => this.stream?.track(name, position));
       }

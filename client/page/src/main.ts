@@ -21,6 +21,7 @@ import { SharedScene } from "./scene";
 import { State } from "./state";
 
 const POLL_MS = 2000;
+const REJOIN_MS = 30_000; // for a session whose stream does not open
 const MOST_LETTERS = 80; // of a session's name
 const PROBE_ABOVE_M = 0.15; // distance of a new probe from the surface that was clicked
 
@@ -28,6 +29,7 @@ const api = new Api();
 const wanted = new URLSearchParams(location.hash.slice(1)); // before `showAddress` writes it
 const state = new State();
 let live: LiveSession | null = null;
+let rejoined: { readonly id: string | null; readonly at_ms: number } | null = null; // until its stream opens
 let counted = ""; // the session that was shown at the last look at the list, and how many frames it had processed
 
 const objects = new PlacedObjects(state, () => live?.session ?? null, (file) => api.of(state.selected.value).uploadGlb(file), reportOwn);
@@ -150,7 +152,13 @@ async function renameSession({ id, title }: SessionSummary): Promise<void> {
 }
 
 function join(id: string | null): void {
-  live = id === null ? null : new LiveSession(api, state, id, reportOwn, () => shared.join(id));
+  const opened = () => {
+    if (rejoined?.id === id) {
+      notify(`${id} is back`, true);
+    }
+    rejoined = null;
+  };
+  live = id === null ? null : new LiveSession(api, state, id, reportOwn, () => shared.join(id), opened);
   void live?.open();
 }
 
@@ -252,10 +260,11 @@ async function follow(sessions: NonNullable<State["sessions"]["value"]>): Promis
     state.selected.value = sessions[0].id;
   } else if (ended.value !== null && sessions.some(({ id, status }) => id === selected.value && status !== "failed")) {
     const back = selected.value!;
-    const isBack = await api.client(0).join(back).then(() => true, () => false); // one on disk may wait for a place
+    const isDue = rejoined?.id !== back || performance.now() - rejoined.at_ms > REJOIN_MS;
+    const isBack = isDue && (await api.client(0).join(back).then(() => true, () => false)); // one on disk may wait for a place
     if (isBack && back === selected.value && ended.value !== null) {
+      rejoined = { id: back, at_ms: performance.now() };
       selected.changed();
-      notify(`${back} is back`, true);
     }
   }
   const summary = sessions.find(({ id }) => id === selected.value);

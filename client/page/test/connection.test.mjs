@@ -47,6 +47,28 @@ test("a session on disk is shown once the server has a place for it", async () =
   assert.match(await other.locator("#ended-text").innerText(), /tries again while the server lists it/);
   await other.unroute("**/v1/sessions/room");
   await waitForLight(other);
+  await other.locator(".notice.calm", { hasText: "room is back" }).waitFor();
+  await other.close();
+});
+
+test("a page without WebSockets seldom tries again, and does not say that its session is back", async () => {
+  const other = await browser.newPage();
+  await other.addInitScript(() => {
+    globalThis.sockets = 0;
+    globalThis.WebSocket = class extends WebSocket {
+      constructor(url, protocols) {
+        globalThis.sockets++;
+        super(url.replace("/v1/", "/no/"), protocols); // as through a proxy that knows none
+      }
+    };
+  });
+  await other.goto(`${PAGE_URL}/#session=room`);
+  await other.waitForSelector("#ended:not([hidden])");
+  let polls = 0;
+  await other.waitForResponse((response) => response.url().endsWith("/v1/sessions") && ++polls > 5);
+  const sockets = await other.evaluate(() => globalThis.sockets);
+  assert.ok(sockets < polls - 2, `${sockets} attempts in ${polls} looks at the list`);
+  assert.equal(await other.locator(".notice").count(), 0);
   await other.close();
 });
 
