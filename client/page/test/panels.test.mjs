@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { browser, errors, noNotices, openAgainNext, page } from "./room.mjs";
-import { control, difference, openPage, pixelsOf, waitForChange, waitForFrame, waitForLight, waitForState } from "./support.mjs";
+import { control, difference, nextDrawing, openPage, pixelsOf, waitForChange, waitForFrame, waitForLight, waitForState } from "./support.mjs";
 
 test("a session without probes gets one, and all panels fill", async () => {
   assert.equal(await page.locator("#connection").innerText(), "Live");
@@ -287,6 +287,22 @@ test("exposure, false colour and the tint change the panorama", async () => {
   await page.uncheck("#show-coverage");
   assert.equal(await page.isChecked("#coverage-tint"), false);
   assert.ok(await page.isHidden("#coverage-legend"));
+});
+
+test("a browser that gives noise in place of pixels tints nothing", async () => {
+  const other = await browser.newPage();
+  await other.addInitScript(() => {
+    const { prototype } = OffscreenCanvasRenderingContext2D;
+    prototype.getImageData = (_x, _y, width, height) => new ImageData(new Uint8ClampedArray(4 * width * height).fill(77), width, height);
+  });
+  await other.goto(page.url());
+  await waitForLight(other);
+  const panorama = () => other.evaluate(() => document.getElementById("panorama-canvas").toDataURL());
+  const before = await panorama();
+  await other.check("#coverage-tint");
+  await nextDrawing(other);
+  assert.equal(await panorama(), before);
+  await other.close();
 });
 
 test("files are downloaded", async () => {

@@ -233,6 +233,16 @@ for (const [name, phone] of [
   });
 }
 
+test("a browser that gives noise in place of pixels sends none, and the page says what to allow", async () => {
+  const { page } = await open(null);
+  await page.evaluate(() => {
+    OffscreenCanvasRenderingContext2D.prototype.getImageData = () => new ImageData(new Uint8ClampedArray(4).fill(77), 1, 1);
+  });
+  await page.getByRole("button", { name: "Start" }).click();
+  await page.getByText("allow canvas data for this site").waitFor();
+  assert.equal(await figure(page, "Frames sent"), "0");
+});
+
 test("a phone has a token and sessions of its own until it is removed", async () => {
   const [first, second] = [await open({ camera: true, depth: true }), await open(null)];
   assert.notEqual(first.own, second.own);

@@ -29,13 +29,14 @@ export async function probeLight(name: string, frame: number, light: Light): Pro
   };
 }
 
-/** The first channel of a PNG. */
-async function greyOf(png: Uint8Array<ArrayBuffer>): Promise<Uint8ClampedArray> {
+/** The first channel of an opaque PNG; null where the browser gives noise in place of pixels. */
+async function greyOf(png: Uint8Array<ArrayBuffer>): Promise<Uint8ClampedArray | null> {
   const image = await createImageBitmap(new Blob([png], { type: "image/png" }));
   const canvas = new OffscreenCanvas(image.width, image.height);
   const context = canvas.getContext("2d", { willReadFrequently: true })!;
   context.drawImage(image, 0, 0);
   image.close();
   const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
-  return data.filter((_, at) => at % 4 === 0);
+  const isOpaque = data.every((value, at) => at % 4 !== 3 || value === 255);
+  return isOpaque ? data.filter((_, at) => at % 4 === 0) : null;
 }

@@ -6,6 +6,7 @@ import type { PhotoLink } from "./link";
 const LONGEST = 640;
 const LONG_SIDE_FOV_DEG = 66; // a phone's main camera; browsers do not tell
 const SPACING_S = 2;
+const HIDDEN = "This browser hides the pixels of pictures: allow canvas data for this site.";
 
 /** Open the camera that looks away from the user. Throws DOMException if there is none or it is refused. */
 export function openCamera(): Promise<MediaStream> {
@@ -34,12 +35,16 @@ export async function sendPhotos(video: HTMLVideoElement, link: PhotoLink, signa
   link.close();
 }
 
-/** The video's picture as a frame without depth: level camera at the origin. */
+/** The video's picture as a frame without depth: level camera at the origin. Throws if the browser gives noise instead. */
 async function photoOf(video: HTMLVideoElement): Promise<Frame> {
   const scale = Math.min(1, LONGEST / Math.max(video.videoWidth, video.videoHeight));
   const [width, height] = [Math.round(video.videoWidth * scale), Math.round(video.videoHeight * scale)];
   const canvas = new OffscreenCanvas(width, height);
-  canvas.getContext("2d")!.drawImage(video, 0, 0, width, height);
+  const context = canvas.getContext("2d")!;
+  context.drawImage(video, 0, 0, width, height);
+  if (context.getImageData(0, 0, 1, 1).data[3] !== 255) {
+    throw new Error(HIDDEN);
+  }
   const data = await canvas.convertToBlob({ type: "image/jpeg", quality: 0.85 });
   const focal = Math.max(width, height) / 2 / Math.tan((LONG_SIDE_FOV_DEG / 2) * (Math.PI / 180));
   return {
