@@ -22,10 +22,12 @@ const element = <K extends keyof HTMLElementTagNameMap>(
   text = "",
 ): HTMLElementTagNameMap[K] => Object.assign(document.createElement(tag), { className, textContent: text });
 
+const NO_CAMERA = "The browser finds no camera on this device.";
 /** What to do about the errors of browsers' `getUserMedia`, by name. */
 const CAMERA_PROBLEMS: Readonly<Record<string, string>> = {
   NotAllowedError: "The browser may not use the camera: allow it in the settings of this site and press Start again.",
-  NotFoundError: "The browser finds no camera on this device.",
+  NotFoundError: NO_CAMERA,
+  OverconstrainedError: NO_CAMERA, // Safari's
   NotReadableError: "The camera cannot be read: close other apps that use it and press Start again.",
 };
 
