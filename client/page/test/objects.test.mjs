@@ -74,6 +74,10 @@ test("a placed object is turned and moved, and both are undone", async () => {
   await page.fill("#object-size", "35");
   await page.press("#object-size", "Tab");
   before = await waitForChange(page, "#picture-image", before);
+  for (const [step, size] of [["undo", "20"], ["redo", "35"]]) {
+    await page.click(`#object-${step}`);
+    assert.equal(await page.inputValue("#object-size"), size);
+  }
   await page.focus("#share");
   await page.keyboard.press("Delete");
   await page.focus("#objects .chip-name");

@@ -137,8 +137,19 @@ export function cameraPanel(api: Api, state: State, objects: PlacedObjects): voi
 function objectTools(state: State, objects: PlacedObjects): void {
   const [shape, material] = [byId<HTMLSelectElement>("object-shape"), byId<HTMLSelectElement>("object-material")];
   const size = byId<HTMLInputElement>("object-size");
+  let filled = ""; // what the form shows of the selected object
+  const fill = () => {
+    const selected = objects.list.value.find(({ name }) => name === objects.selected.value);
+    const values = selected ? JSON.stringify([selected.name, selected.material, selected.size_m]) : "";
+    if (selected && values !== filled) {
+      material.value = selected.material;
+      size.value = centimetres(selected.size_m ?? usualSize_m(selected.shape, selected.file));
+    }
+    filled = values;
+  };
   const show = () => {
     const selected = objects.selected.value;
+    fill();
     replaceKeepingFocus(byId("objects"), objects.list.value.map((object) => chip(object, objects)));
     byId("object-tools").hidden = !objects.canUndo && !objects.canRedo && objects.list.value.length === 0;
     for (const id of ["object-left", "object-right"]) {
@@ -155,14 +166,7 @@ function objectTools(state: State, objects: PlacedObjects): void {
   };
   state.shownEntry.watch(showHelp);
   objects.list.watch(show);
-  objects.selected.watch((name) => {
-    const selected = objects.list.value.find((object) => object.name === name);
-    if (selected) {
-      material.value = selected.material;
-      size.value = centimetres(selected.size_m ?? usualSize_m(selected.shape, selected.file));
-    }
-    show();
-  });
+  objects.selected.watch(show);
   const turn = (degrees: number) => objects.selected.value && objects.turn(objects.selected.value, degrees);
   byId("object-left").addEventListener("click", () => turn(TURN_DEG));
   byId("object-right").addEventListener("click", () => turn(-TURN_DEG));
