@@ -192,7 +192,7 @@ export class RoomView {
 
 /** Whether WebGL draws without a graphics processor. Browsers do not always call that a performance caveat. */
 function isSoftware(): boolean {
-  const context = new OffscreenCanvas(1, 1).getContext("webgl2", { failIfMajorPerformanceCaveat: true });
+  const context = document.createElement("canvas").getContext("webgl2", { failIfMajorPerformanceCaveat: true });
   const names = context?.getExtension("WEBGL_debug_renderer_info");
   const renderer = String(context?.getParameter(names?.UNMASKED_RENDERER_WEBGL ?? context.RENDERER) ?? "");
   context?.getExtension("WEBGL_lose_context")?.loseContext();
