@@ -82,7 +82,7 @@ test("a placed object is turned and moved, and both are undone", async () => {
   await page.keyboard.press("Delete");
   await page.focus("#objects .chip-name");
   assert.equal(await page.locator("#objects .chip").count(), 1);
-  await page.keyboard.press("Delete");
+  await page.keyboard.press("Backspace");
   await page.waitForFunction(() => document.getElementById("objects").children.length === 0);
   await page.focus("#object-material");
   await page.keyboard.press("Control+z");

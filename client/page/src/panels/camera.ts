@@ -181,8 +181,8 @@ function objectTools(state: State, objects: PlacedObjects): void {
     if (key === "z" || key === "y") {
       event.preventDefault();
       (event.shiftKey || key === "y" ? () => objects.redo() : () => objects.undo())();
-    } else if (event.key === "Delete" && objects.selected.value && (target === document.body || target.closest("#camera, #room"))) {
-      objects.remove(objects.selected.value);
+    } else if (["Delete", "Backspace"].includes(event.key) && objects.selected.value && (target === document.body || target.closest("#camera, #room"))) {
+      objects.remove(objects.selected.value); // a Mac's Delete key is Backspace
     }
   });
   shape.addEventListener("change", () => showUsual(shape.value as Shape));
