@@ -7,8 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.conventions import Position, panorama_rays
-from roomlight.engine.kernels.blend import count_seen_through
+from roomlight.conventions import Position
 from roomlight.engine.lighting import LightingModel, ProbeLightSource
 from roomlight.engine.models.choosing import ProbeEstimator
 from roomlight.engine.models.interface import Rendered
@@ -25,7 +24,7 @@ from roomlight.engine.panorama.light_tracking import LightTracker
 from roomlight.engine.panorama.likely_light import likely_lights
 from roomlight.engine.room import AnyRoom
 from roomlight.engine.state.snapshot import ProbeSnapshot
-from roomlight.engine.surface.mesh import FrameMesh, MeshesView, distinct
+from roomlight.engine.surface.mesh import FrameMesh, MeshesView, distinct, forget_seen_through
 from roomlight.engine.volume.sglv import render_coarse_panorama
 from roomlight.light.light import Light
 from roomlight.threads import parallel_for, thread_count
@@ -143,21 +142,13 @@ class Probe:
 
         What the frame and the one before see through, such as a person who has left, is forgotten first.
         """
-        self._forget_seen_through(partial, mesh)
+        depth_max_m = self.room.grid.depth_max_m
+        forget_seen_through(self.panorama, partial, mesh, self.position, depth_max_m)
         if rendered is None:
             self._accumulate(partial, mesh, hdr=None, weight=partial.mask.astype(np.float32))
             return
-        depth_max_m = self.room.grid.depth_max_m
         estimate = self.estimator.estimate(self.panorama, rendered, partial, depth_max_m=depth_max_m)
         self._accumulate(partial, mesh, hdr=estimate.hdr, weight=estimate.weight)
-
-    def _forget_seen_through(self, partial: PartialPanorama, mesh: FrameMesh) -> None:
-        state, depth_max_m = self.panorama, self.room.grid.depth_max_m
-        gone, position = np.empty(state.observed.shape, np.bool_), np.asarray(self.position, np.float32)
-        farthest_m, closer_m = np.float32(farthest_depth_m(depth_max_m) - CLOSER_M), np.float32(CLOSER_M)
-        rays, view = panorama_rays(len(gone)), mesh.measured_view
-        if count_seen_through(state.arrays, partial.depth_m, rays, position, view, closer_m, farthest_m, gone):
-            state.forget(gone, unseen_depth_m(depth_max_m))
 
     def _accumulate(
         self,

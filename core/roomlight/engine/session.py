@@ -35,7 +35,7 @@ from roomlight.engine.room import BACK_MARGIN, MOST_LEFT, AnyRoom, Room, RoomVie
 from roomlight.engine.session_view import SessionView
 from roomlight.engine.state.snapshot import KeptFrame, SessionSnapshot
 from roomlight.engine.surface.drift import NO_GAIN, Drift, Gain
-from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.surface.mesh import FrameMesh, forget_seen_through
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import Sglv, check_position
 from roomlight.errors import FrameError, ProbeError, StateError
@@ -512,8 +512,10 @@ def warm_up(graphs: LightingGraphs | None = None) -> None:
 
 def warm_up_surfaces() -> None:
     """Compile (or load) what `warm_up` needs last: meshes and blending. Another process does it meanwhile."""
-    partial = FrameMesh(_warm_frame(0, 0.5)).render_panorama(np.array(_WARM_POSITION), height=_WARM_HEIGHT)
+    mesh = FrameMesh(_warm_frame(0, 0.5))
+    partial = mesh.render_panorama(np.array(_WARM_POSITION), height=_WARM_HEIGHT)
     state, weight = PanoramaState.fresh(_WARM_HEIGHT, 1.0), partial.mask.astype(np.float32)
+    forget_seen_through(state, partial, mesh, _WARM_POSITION, 1.0)
     accumulate(state, partial, hdr=partial.radiance, weight=weight, unseen_m=unseen_depth_m(1.0), camera=AT_PROBE)
 
 

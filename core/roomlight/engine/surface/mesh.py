@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from roomlight.camera import Intrinsics, rigid_inverse, transform_points
-from roomlight.conventions import panorama_rays
+from roomlight.conventions import Position, panorama_rays
+from roomlight.engine.kernels.blend import count_seen_through
 from roomlight.engine.kernels.rasterise import (
     Nearest,
     Raster,
@@ -30,7 +31,7 @@ from roomlight.engine.kernels.rasterise import (
     take_nearer,
 )
 from roomlight.engine.observations import CLOSER_M
-from roomlight.engine.panorama.blend import PartialPanorama
+from roomlight.engine.panorama.blend import PanoramaState, PartialPanorama, farthest_depth_m, unseen_depth_m
 from roomlight.engine.surface.texture import Pyramid, Texture
 from roomlight.frame import Frame
 from roomlight.threads import parallel_for
@@ -374,6 +375,22 @@ class MeshesView:
         """
         relative = np.vstack([cameras - self._position, np.zeros(3)]).astype(np.float32)
         return relative[self._nearest.mesh].reshape(self._height, 2 * self._height, 3)
+
+
+def forget_seen_through(
+    state: PanoramaState, partial: PartialPanorama, mesh: FrameMesh, position: Position, depth_max_m: float
+) -> None:
+    """Forget of a panorama what a frame and the one before see through.
+
+    Args:
+        partial: What is seen of the frame's mesh.
+        position: Of the panorama, world metres.
+        depth_max_m: D_max of the room's volume.
+    """
+    gone, place, view = np.empty(state.observed.shape, np.bool_), np.asarray(position, np.float32), mesh.measured_view
+    farthest_m, rays = np.float32(farthest_depth_m(depth_max_m) - CLOSER_M), panorama_rays(len(gone))
+    if count_seen_through(state.arrays, partial.depth_m, rays, place, view, _CLOSER_M, farthest_m, gone):
+        state.forget(gone, unseen_depth_m(depth_max_m))
 
 
 def distinct(meshes: Sequence[FrameMesh]) -> list[tuple[int, FrameMesh]]:
