@@ -14,10 +14,7 @@ from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator
 from roomlight_evaluation.walks import Compared
 
 FOLLOWED: Final = "drift"
-SLOW: Final = "slow drift"
 STATED: Final = "drift, exposure taken as stated"
-_SLOWER: Final = 10
-"""Slow drift has periods of so many times the frames: at most 2 % a frame."""
 _STOPS: Final = 0.75
 """Amplitude; the range is twice that."""
 _BALANCE: Final = 0.12
@@ -35,11 +32,10 @@ def drift_models(options: SessionOptions) -> Compared:
     graphs = choose_graphs(options)
 
     def exact() -> list[Estimator]:
-        plain, followed, slow, stated = (EngineEstimator(options, graphs) for _ in range(4))
+        plain, followed, stated = (EngineEstimator(options, graphs) for _ in range(3))
         return [
             plain,
             Drifting(followed, FOLLOWED, auto_exposed=True),
-            Drifting(slow, SLOW, auto_exposed=True, slower=_SLOWER),
             Drifting(stated, STATED, auto_exposed=False),
         ]
 
@@ -49,14 +45,13 @@ def drift_models(options: SessionOptions) -> Compared:
 class Drifting:
     """An estimator whose frames are 8-bit pictures with `drift_gain`."""
 
-    def __init__(self, inner: Estimator, name: str, *, auto_exposed: bool, slower: int = 1) -> None:
-        """Give `inner` the frames; `auto_exposed` is as in `Frame`, and `slower` stretches the drift."""
+    def __init__(self, inner: Estimator, name: str, *, auto_exposed: bool) -> None:
+        """Give `inner` the frames; `auto_exposed` is as in `Frame`."""
         self.name, self._inner, self._auto_exposed, self._pushed = name, inner, auto_exposed, 0
-        self._slower = slower
 
     def push(self, frame: Frame) -> None:
         """Take the next frame."""
-        image = frame.image * drift_gain(self._pushed / self._slower).astype(np.float32)
+        image = frame.image * drift_gain(self._pushed).astype(np.float32)
         clipped = frame.clipped | (image >= 1).any(-1)
         image = srgb8_to_linear(linear_to_srgb8(image))
         self._inner.push(replace(frame, image=image, clipped=clipped, auto_exposed=self._auto_exposed))
@@ -67,7 +62,7 @@ class Drifting:
         return self._inner.light_at(position)
 
 
-def drift_gain(number: float) -> Float[np.ndarray, "3"]:
+def drift_gain(number: int) -> Float[np.ndarray, "3"]:
     """Return the gains of red, green and blue of the frame with this number; those of the first are 1."""
     turns = np.sin(2 * np.pi * number / _PERIODS)
     return np.exp(-_STOPS * np.log(2) * turns[0] + _BALANCE * turns)

@@ -243,7 +243,7 @@ class Session:
             room.volume.update(clipping)
         with clock.stage("mesh"):
             mesh = FrameMesh(prepared, sensor_depth_m=measured.depth_m, sensor_clipped=measured.clipped)
-            mesh.gain, mesh.pending = drift.gain, drift.pending
+            mesh.gain = drift.gain
         number = max(frame.index, self._last_number + 1)  # a second recording may begin at 0 again
         with clock.stage("keyframes"):
             is_keyframe = room.keep(number, mesh, turn=self.frames)

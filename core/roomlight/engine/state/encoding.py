@@ -69,8 +69,6 @@ class _Kept(_Values):
     """None: the base is elsewhere."""
     gain: tuple[float, float, float] | None
     """Of red, green and blue against the image as it was pushed."""
-    pending: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """As in `FrameMesh`."""
 
 
 class _Session(_Values):
@@ -150,7 +148,6 @@ class SavedSession:
         else:
             base = base_of(frame.base, arrays)
             base.gain = frame.gain
-        base.pending = frame.pending
         mesh = changed(base, arrays, frame.checksum, source)
         return KeptFrame(frame.index, mesh, mesh.texture)
 
@@ -197,7 +194,6 @@ def _values_of(snapshot: SessionSnapshot, elsewhere: Collection[int]) -> _Sessio
                 checksum=frame.texture.checksum,
                 base=None if frame.index in elsewhere else base_values(frame.mesh),
                 gain=frame.mesh.gain,
-                pending=frame.mesh.pending,
             )
             for frame in snapshot.kept
         ],

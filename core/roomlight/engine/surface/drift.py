@@ -8,8 +8,7 @@ the balance alone.
 Drift changes all surfaces by the same factor; light that is switched on or off does not. Therefore:
 
 - A view counts only if the surfaces' ratios agree (`AGREE`, `SHARE`). Where none counts, the last gain stays.
-- A session is left as it is, to the bit, until a frame differs from the first one by more than `NOTICED`. Until then
-  gains are followed but not applied (`Drift.pending`): a camera that meters slowly changes by 1 % a frame.
+- A session is left as it is, to the bit, until a frame differs by more than `NOTICED`.
 
 All lights of a room dimmed by the same factor look like drift, where exposure is not stated.
 """
@@ -55,7 +54,7 @@ class Drift:
     """The gain of the last frame.
 
     Attributes:
-        log_gain: Natural logarithms, for red, green and blue; they are applied from the first drift on.
+        log_gain: Natural logarithms, for red, green and blue.
         noticed: Whether any frame so far has drifted.
     """
 
@@ -70,27 +69,21 @@ class Drift:
         red, green, blue = np.exp(self.log_gain).tolist()
         return red, green, blue
 
-    @property
-    def pending(self) -> Gain:
-        """Logarithms of the gains that are not applied."""
-        return (0.0, 0.0, 0.0) if self.noticed else self.log_gain
-
     def after(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlier: Sequence[FrameMesh]) -> "Drift":
         """Return the gain of the next frame, as measured, by the meshes of the keyframes and of the last frame.
 
-        The gains of the meshes have been applied but for `FrameMesh.pending`; `depth_m` is the frame's completed depth.
+        The gains of the meshes have been applied; `depth_m` is the frame's completed depth.
         """
         last, measured = np.array(self.log_gain), _measured(frame, depth_m, earlier)
         log_gain, points = (last, 0.0) if measured is None else measured
         if not frame.auto_exposed:
             log_gain, last = log_gain - log_gain[1], last - last[1]
-        noticed = self.noticed or bool(np.abs(log_gain).max() > NOTICED)
-        if not (noticed or frame.auto_exposed):
+        if not self.noticed and np.abs(log_gain).max() <= NOTICED:
             return self
         mixed = (points * log_gain + _LAST * last) / (points + _LAST)
         mean = mixed.mean()
         red, green, blue = (np.clip(mean, -MOST[0], MOST[0]) + np.clip(mixed - mean, -MOST[1], MOST[1])).tolist()
-        return Drift((red, green, blue), noticed)
+        return Drift((red, green, blue), noticed=True)
 
     def corrected(self, frame: Frame) -> Frame:
         """Return the frame with its gain; the frame itself as long as nothing has drifted."""
@@ -112,7 +105,7 @@ def _measured(
     world, logarithm = _points(frame, depth_m)
     total, weight = np.zeros(3), 0.0
     for number in list(chosen)[:VIEWS]:
-        ratio = _ratio(world, logarithm, earlier[number]) + np.array(earlier[number].pending, np.float32)
+        ratio = _ratio(world, logarithm, earlier[number])
         if len(ratio) < _LEAST:
             continue
         median = np.partition(ratio, len(ratio) // 2, axis=0)[len(ratio) // 2]

@@ -146,7 +146,6 @@ class FrameMesh:
         self.grid_depth_m = grid.depth_m
         self.measured = grid.measured  # [gh, gw]; elsewhere depth is completed
         self.gain: tuple[float, float, float] | None = None  # of the texture against the image as pushed
-        self.pending = (0.0, 0.0, 0.0)  # logarithms of gains that are known but were not applied
         self._made: _Triangles | None = None
 
     def prepare(self) -> None:
