@@ -52,7 +52,7 @@ def main() -> None:
     user.frame_start, user.frame_duration = first, 1  # one image, whose number is 1 + the offset
     report, strength = args.panoramas.parent / "report.json", background.inputs["Strength"]
     frames = json.loads(report.read_text())["frames"] if report.is_file() else []
-    gains = {frame["index"]: frame["gain"][1] for frame in frames}  # of green
+    gains = {frame["index"]: frame["gain"][1] for frame in frames if "gain" in frame}  # of green
     for number in files:
         if number in gains:
             strength.default_value = 1 / gains[number]

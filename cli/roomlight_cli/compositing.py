@@ -10,6 +10,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from annotated_types import Ge, Interval
 
+from roomlight.camera import Intrinsics
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.compositing.picture.layer_files import (
     LAYER_FILES,
@@ -28,7 +29,7 @@ from roomlight.errors import OptionError, OutputError
 from roomlight.files import check_writable, remove_outputs, write_atomic
 from roomlight.frame import Frame
 from roomlight.imaging.exr import sequence_metadata
-from roomlight.imaging.video_writer import VideoWriter
+from roomlight.imaging.video_writer import MOST_ROWS, VideoWriter
 from roomlight.notes import distinct
 from roomlight.rules import check_options
 from roomlight_cli.console import counted, print_notes, print_skipped, remark, say, stopped_by_signals
@@ -286,13 +287,15 @@ class _ReportedFrames:
         is_read = name.startswith("reading")  # else the first frame takes longest, and is not of the pace
         total = self._capture.frame_count if is_read else self._count
         self._report(name if is_read else f"{name}: places, light and first picture", 0, total)
-        size = ""
+        first: Intrinsics | None = None
         for number, frame in enumerate(self._capture, 1):
-            own = f"{frame.intrinsics.width} x {frame.intrinsics.height}"
-            if self._film is not None and own != (size := size or own):
+            own = frame.intrinsics
+            first = first or own
+            rows = abs(own.height - first.height)
+            if self._film is not None and (own.width != first.width or rows > MOST_ROWS * own.height):
                 raise OutputError(
-                    f"{self._film}: a film has pictures of one size, but {frame.source} has {own} pixels and the first "
-                    f"{size}; give a folder"
+                    f"{self._film}: a film has pictures of one size, but {frame.source} has {own.width} x {own.height} "
+                    f"pixels and the first {first.width} x {first.height}; give a folder"
                 )
             yield frame
             self._report(name, number, total)

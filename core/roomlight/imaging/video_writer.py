@@ -20,6 +20,9 @@ _SRGB: Final = 13
 _LIMITED: Final = 1
 """H.273's codes of primaries and matrix, and of the transfer curve; FFmpeg's of the range 16 to 235."""
 
+MOST_ROWS: Final = 0.1
+"""Most rows, of a picture's, that it may have more or less than the video."""
+
 
 class VideoWriter:
     """Writes a video under a temporary name and renames it at the end, for use in a `with` statement.
@@ -51,10 +54,15 @@ class VideoWriter:
     def write(self, picture: UInt8[np.ndarray, "h w 3"]) -> None:
         """Append an 8-bit sRGB picture; the first one's size is the video's, without the last pixel of odd sides.
 
+        A picture with a few rows more or less, whose own lens was removed, is cropped, or goes on at its borders.
+
         Raises:
             ValueError: The size differs from the first picture's.
             OutputError: The file cannot be written.
         """
+        if self._stream is not None and 0 < abs(more := len(picture) - self._stream.height) <= MOST_ROWS * len(picture):
+            above = (np.arange(self._stream.height) + more // 2).clip(0, len(picture) - 1)
+            picture = picture[above]
         height, width = (side - side % 2 for side in picture.shape[:2])
         try:
             if self._container is None or self._stream is None:

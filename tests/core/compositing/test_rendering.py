@@ -288,6 +288,13 @@ def test_previews_average_textures_finer_than_pixels(by_triangle: bool, least: f
     assert shown.mean() == pytest.approx(0.5, abs=0.02)
 
 
+@pytest.mark.parametrize(("hidden_alpha", "colour"), [(0, 65535), (65535, 32768)])
+def test_levels_of_textures_do_not_mix_in_what_is_hidden(hidden_alpha: int, colour: int) -> None:
+    texels = np.full((4, 4, 4), 65535, np.uint16)
+    texels[:, ::2] = 0, 0, 0, hidden_alpha  # leaves are often saved on transparent black
+    assert Texture(texels).levels[1][..., :3] == pytest.approx(colour, abs=1)
+
+
 def test_a_cut_out_is_there_where_its_alpha_is_its_cutoff() -> None:
     opaque = Texture.from_srgb8(np.full((7, 5, 4), 255, np.uint8))
     whole = wall(Material(base_colour_texture=opaque, opacity=0.5, alpha_cutoff=0.5))

@@ -42,6 +42,16 @@ def test_a_video_plays_back_what_was_written(tmp_path: Path) -> None:
     assert [float(frame.mean()) for frame in frames] == pytest.approx(levels, abs=4)
 
 
+def test_pictures_with_a_few_rows_more_or_less_are_centred(tmp_path: Path) -> None:
+    """Pictures whose lenses were removed one by one differ by some rows."""
+    rows = np.repeat(np.arange(48, dtype=np.uint8)[:, None] * 5, 64, axis=1)
+    image = np.repeat(rows[..., None], 3, axis=2)
+    write_video(tmp_path / "a.mp4", image, image[2:46], np.pad(image, ((2, 2), (0, 0), (0, 0)), mode="edge"))
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        shown = [frame.to_ndarray(format="rgb24")[24].mean() for frame in container.decode(video=0)]
+    assert shown == pytest.approx([120] * 3, abs=4)
+
+
 def test_colours_are_those_of_the_tags_also_of_a_joined_video(tmp_path: Path) -> None:
     red, part, longer = (200, 40, 40), tmp_path / "part.mp4", tmp_path / "longer.mp4"
     write_video(part, np.full((48, 64, 3), red, np.uint8))

@@ -49,7 +49,7 @@ class Texture:
         while len(images) < LEVELS and max(images[-1].shape[:2]) > 1 and not self.by_triangle:
             height, width = images[-1].shape[:2]
             size = max(width // 2, 1), max(height // 2, 1)
-            images.append(cv2.resize(images[-1], size, interpolation=cv2.INTER_AREA))
+            images.append(_reduced(images[-1], size))
         return tuple(images)
 
     @classmethod
@@ -73,6 +73,18 @@ class Texture:
             size = max(1, round(width * scale)), max(1, round(height * scale))
             image = cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         return cls(np.rint(np.clip(image, 0, 1) * 65535).astype(np.uint16))
+
+
+def _reduced(texels: UInt16[np.ndarray, "h w 4"], size: tuple[int, int]) -> UInt16[np.ndarray, "h2 w2 4"]:
+    """Reduce RGBA by area to (width, height); texels count by their alpha, as what is hidden may have any colour."""
+    if texels[..., 3].min() == 65535:
+        return cv2.resize(texels, size, interpolation=cv2.INTER_AREA)
+    weighted = texels.astype(np.float32)
+    weighted[..., :3] *= weighted[..., 3:]
+    reduced = cv2.resize(weighted, size, interpolation=cv2.INTER_AREA)
+    alpha, plain = reduced[..., 3:], cv2.resize(texels, size, interpolation=cv2.INTER_AREA).reshape(reduced.shape)
+    plain[..., :3] = np.where(alpha > 0, np.rint(reduced[..., :3] / np.maximum(alpha, 1e-6)), plain[..., :3])
+    return plain
 
 
 class TextureArrays(NamedTuple):

@@ -146,8 +146,9 @@ class TracedObjects:
     @cached_property
     def _texture_means(self) -> Float32[np.ndarray, "t1 4"]:
         table = self.textures
-        ends = table.first + table.width.astype(np.int64) * table.height
-        images = [table.texels[first:end] for first, end in zip(table.first, ends, strict=True) if end > first]
+        firsts = table.first[: len(table.first) // LEVELS]
+        ends = firsts + table.width[: len(firsts)].astype(np.int64) * table.height[: len(firsts)]
+        images = [table.texels[first:end] for first, end in zip(firsts, ends, strict=True)]
         means = [image.mean(axis=0, dtype=np.float64) / 65535 for image in images]
         return np.array([*means, np.ones(4)], np.float32)
 

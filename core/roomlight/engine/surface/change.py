@@ -1,8 +1,8 @@
 """Keyframes that later frames contradict: a lamp was switched, a person has gone, an exposure had failed.
 
-A frame contradicts a vertex of a keyframe if it sees through it, or shows the same surface with other light, as in
-`roomlight.engine.panorama.blend`. What it hides or does not show, it does not contradict. Each pixel is compared with
-all around the other one, so that a pose that is off by 5 cm at 2 m is no change.
+A frame contradicts a vertex of a keyframe if it sees through it, or shows the same surface with other light: as much
+as in `roomlight.engine.panorama.blend`, from any direction. What it hides or does not show, it does not contradict.
+Each pixel is compared with all around the other one, so that a pose that is off by 5 cm at 2 m is no change.
 """
 
 from typing import Final, NamedTuple

@@ -24,8 +24,8 @@ MIN_NEW_SHARE: Final = 0.04
 _COMPARED: Final = 3
 """Keyframes that frames are compared with in turn: those with the most similar heading."""
 _MOST_LOST: Final = 0.1
-"""A frame can take a keyframe's place if this share of its cells, at most, is then in no keyframe and not in the frame:
-a pan with a person who walks along would lose the room."""
+"""A keyframe can be dropped if this share of its cells, at most, is then in no keyframe and not in the frame: a pan
+with a person who walks along would lose the room."""
 _CELL: Final = 2
 
 
@@ -89,7 +89,7 @@ class KeyframeStore:
         return True
 
     def drop_contradicted(self, mesh: FrameMesh, *, turn: int) -> None:
-        """Drop a keyframe that this frame and the one before it contradict, if the frame can take its place.
+        """Drop a keyframe that this frame and the one before it contradict, if they show nearly all of it.
 
         Each turn compares another one of the keyframes most alike.
         """

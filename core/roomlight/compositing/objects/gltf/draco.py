@@ -45,6 +45,8 @@ def decode_draco(
             values = values.reshape(len(values), -1)
             stated_as = accessors.declared(primitive.attributes[key], f"{label}: {key}")
             arrays[key] = values.astype(np.int64) if key.startswith("JOINTS_") else as_floats(values, stated_as)
+    except ObjectError:  # of an accessor
+        raise
     except Exception as error:  # the binding raises whatever damaged bytes lead to
         raise ObjectError(f"{label}: its Draco data is damaged ({str(error)[:80]})") from error
     points, lengths = arrays.get("POSITION"), {len(values) for key, values in arrays.items() if key != "faces"}
