@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from roomlight.conventions import luminance
-from roomlight.engine.kernels.blend import CHANGED, LEAST_CHANGE, UNBOUNDED
+from roomlight.engine.kernels.blend import BEYOND, CHANGED, LEAST_CHANGE, UNBOUNDED
+from roomlight.engine.observations import CLOSER_M
 from roomlight.engine.surface.mesh import FrameMesh
 
 CONTRADICTED: Final = 0.01
@@ -20,8 +21,6 @@ _EVERY: Final = 4
 """Every fourth vertex of every fourth row is compared."""
 _SAME_M: Final = 0.15
 """Two depths are of one surface within 15 cm."""
-_THROUGH: Final = (0.25, 0.05)
-"""A frame sees through a vertex if it shows what is 25 cm and 5 % farther."""
 _PIXEL: Final = np.zeros(1)
 _AROUND: Final = np.linspace(-1, 1, 7) / 54
 """Rows and columns that are compared around a pixel, in widths of the image: up to 1.2 degrees."""
@@ -61,7 +60,7 @@ def _sees_through(
     nearest = _around(mesh.grid_depth_m, own, around).min(axis=0)
     farthest = _around(keyframe.grid_depth_m, theirs, around).max(axis=0)
     behind = nearest - z - (farthest - keyframe.grid_depth_m[theirs.row, theirs.column])
-    return measured[0] & measured[1] & (behind > np.maximum(_THROUGH[0], _THROUGH[1] * z))
+    return measured[0] & measured[1] & (behind > np.maximum(CLOSER_M, BEYOND * z))
 
 
 def _shows_other_light(
