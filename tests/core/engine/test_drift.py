@@ -72,6 +72,22 @@ def test_the_gain_of_a_room_full_of_things_is_right_in_every_frame():
         assert np.log(np.array(session.push(drifting).gain) * gain) == pytest.approx(np.zeros(3), abs=0.05)
 
 
+def test_slow_drift_of_a_pan_is_followed():
+    """2 % a frame: what it was before the frame is noticed stays, at most 8 %."""
+    drift = np.exp(-0.02 * np.arange(24))
+    frames = [_exposed(_look(3 * i, i), np.full(3, gain)) for i, gain in enumerate(drift)]
+    session = session_of(height=16)
+    assert [session.push(frame).gain[1] for frame in frames] * drift == pytest.approx(np.ones(24), abs=0.09)
+
+
+def test_a_lens_that_darkens_its_corners_is_no_drift():
+    """What is in the middle of the first picture is far from it in the second, and 40 % darker in the corners."""
+    x, y = np.meshgrid(*(np.linspace(-1, 1, size) for size in FRAMES[0].image.shape[1::-1]))
+    vignette = 1 - 0.2 * (x**2 + y**2)[..., None].astype(np.float32)
+    walk = [ROOM.frame(camera_at((0.3, 1.4, z), 0, -5), index=number) for number, z in enumerate([0.2, -1.3])]
+    assert _gain(*[_exposed(frame, vignette) for frame in walk]) is None
+
+
 def test_without_drift_every_bit_stays():
     stated, _ = _run([replace(_exposed(frame), auto_exposed=False) for frame in FRAMES[:6]])
     unstated, _ = _run([_exposed(frame) for frame in FRAMES[:6]])

@@ -8,21 +8,22 @@ the balance alone.
 Drift changes all surfaces by the same factor; light that is switched on or off does not. Therefore:
 
 - A view counts only if the surfaces' ratios agree (`AGREE`, `SHARE`). Where none counts, the last gain stays.
-- A session is left as it is, to the bit, until a frame differs by more than `NOTICED`.
+- A session is left as it is, to the bit, until a frame differs by more than `NOTICED`; drift slower than that between
+  the oldest and the newest frames that show the same is not followed.
 
 All lights of a room dimmed by the same factor look like drift, where exposure is not stated.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import transform_points
-from roomlight.engine.surface.mesh import FrameMesh, most_alike
+from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.surface.texture import small_logarithm
 from roomlight.frame import Frame
 
@@ -38,7 +39,18 @@ NOTICED: Final = 0.08
 MOST: Final = (3.0, 0.5)
 """Largest logarithm of the gains' mean, 4.3 stops, and of a gain against that mean."""
 VIEWS: Final = 3
-"""Earlier frames that a frame is compared with: those with the most similar heading, and the last one."""
+"""Earlier frames that a frame is compared with: the oldest ones that show the same. Beside the newest ones, slow drift
+would stay below `NOTICED`, and errors would add up."""
+_ALIKE: Final = 0.88
+"""Least cosine between the headings of two frames that are compared, 28 degrees: half of a usual view."""
+_REACH: Final = 0.4
+"""Longest way between their cameras, in median depths."""
+_TRIED: Final = 8
+"""Frames that are looked into, at most; 0.1 ms each."""
+_RIDGE: Final = 0.003
+"""Variance of `_Points.outwards` at which half of the vignetting is corrected."""
+_MOST_DARK: Final = 0.4
+"""Largest share of light that a lens is believed to take at the corners."""
 _LEAST: Final = 20
 """Least number of shared points of a view, of the 1,200 of a frame."""
 _LAST: Final = 8.0
@@ -99,27 +111,58 @@ def _measured(
     frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlier: Sequence[FrameMesh]
 ) -> tuple[Float[np.ndarray, "3"], float] | None:
     """Return the logarithm of the gain, and the number of points that it was measured at; None: no view counts."""
-    if not earlier:
-        return None
-    chosen = dict.fromkeys([len(earlier) - 1, *most_alike(frame.camera_to_world, earlier, VIEWS)])
-    world, logarithm = _points(frame, depth_m)
-    total, weight = np.zeros(3), 0.0
-    for number in list(chosen)[:VIEWS]:
-        ratio = _ratio(world, logarithm, earlier[number])
+    points, total, weight, views = _points(frame, depth_m), np.zeros(3), 0.0, 0
+    for mesh in _overlapping(frame, depth_m, earlier):
+        ratio, outwards = _ratio(points, mesh)
         if len(ratio) < _LEAST:
             continue
         median = np.partition(ratio, len(ratio) // 2, axis=0)[len(ratio) // 2]
         near = (np.abs(ratio - median) < AGREE).all(axis=1)
         if near.mean() >= SHARE:
-            total += ratio[near].sum(axis=0, dtype=np.float64)
-            weight += float(near.sum())
+            count = float(near.sum())
+            total += count * _without_vignetting(ratio[near], outwards[near])
+            weight, views = weight + count, views + 1
+            if views == VIEWS:
+                break
     return (total / weight, weight) if weight else None
 
 
-def _points(
-    frame: Frame, depth_m: Float[np.ndarray, "dh dw"]
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Return the frame's surfaces in the world, and the logarithms of their radiance where it can be compared."""
+def _overlapping(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlier: Sequence[FrameMesh]) -> list[FrameMesh]:
+    """Return earlier frames that may show much of what the frame shows, the oldest first, and the last one."""
+    if not earlier:
+        return []
+    pose = frame.camera_to_world
+    poses = np.array([mesh.camera_to_world for mesh in earlier])
+    alike = poses[:, :3, 2] @ pose[:3, 2] > _ALIKE
+    close = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) < _REACH * float(np.median(depth_m))
+    oldest = (alike & close).nonzero()[0][:_TRIED]
+    return [earlier[number] for number in dict.fromkeys([*oldest, len(earlier) - 1])]
+
+
+def _without_vignetting(ratio: Float[np.ndarray, "n 3"], outwards: Float[np.ndarray, " n"]) -> Float[np.ndarray, "3"]:
+    """Return the mean of the ratios at points that are as far from the centre in both images.
+
+    Lenses darken by about 1 - k r^2, and all points move outwards when the camera walks ahead: without this a walk
+    would get brighter and brighter. k is the slope of the ratios over how far each point moved outwards.
+    """
+    mean, middle = ratio.mean(axis=0, dtype=np.float64), float(outwards.mean())
+    off = outwards - middle
+    slope = float(off @ ratio.mean(axis=1)) / (float(off @ off) + _RIDGE * len(off))
+    return mean - np.clip(slope, 0, _MOST_DARK) * middle
+
+
+class _Points(NamedTuple):
+    """Surfaces that a frame shows."""
+
+    world: Float[np.ndarray, "n 3"]
+    logarithm: Float[np.ndarray, "n 3"]
+    """Of their radiance."""
+    outwards: Float[np.ndarray, " n"]
+    """Square of their distance from the centre of the image; 1 at its corners."""
+
+
+def _points(frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> _Points:
+    """Return the frame's surfaces where they can be compared."""
     logarithm, usable = small_logarithm(
         frame.image, frame.clipped if frame.seen is None else frame.clipped | ~frame.seen
     )
@@ -129,23 +172,31 @@ def _points(
     columns = (np.arange(width) * depth_m.shape[1] + depth_m.shape[1] // 2) // width
     depth = depth_m[np.ix_(rows, columns)]
     usable = usable & (depth > 0)
-    return transform_points(frame.camera_to_world, (small.rays() * depth[..., None])[usable]), logarithm[usable]
+    world = transform_points(frame.camera_to_world, (small.rays() * depth[..., None])[usable])
+    row, column = usable.nonzero()
+    return _Points(world, logarithm[usable], _outwards(column + 0.5, row + 0.5, width, height))
 
 
-def _ratio(
-    world: Float[np.ndarray, "n 3"], logarithm: Float[np.ndarray, "n 3"], mesh: FrameMesh
-) -> Float[np.ndarray, "m 3"]:
-    """Return the logarithms of the mesh's radiance less those of the points, at the points that it shows."""
-    inside, xy, z = mesh.find(world)
+def _outwards(
+    x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], width: int, height: int
+) -> Float[np.ndarray, " n"]:
+    return ((2 * x - width) ** 2 + (2 * y - height) ** 2) / (width**2 + height**2)
+
+
+def _ratio(points: _Points, mesh: FrameMesh) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
+    """Return the logarithms of the mesh's radiance less those of the points that it shows; how far these moved out."""
+    inside, xy, z = mesh.find(points.world)
     column, row = xy.astype(int).T
     depth = mesh.grid_depth_m[row, column]
     same = (depth > 0) & (np.abs(depth - z) < _NEAR[0] + _NEAR[1] * depth)
-    points = logarithm[inside[same]]
-    if not len(points):
-        return points
+    xy, inside = xy[same], inside[same]
+    if not len(inside):
+        return points.logarithm[inside], points.outwards[inside]
     theirs, usable = mesh.texture.small
     scale = np.divide(usable.shape[::-1], mesh.grid_depth_m.shape[::-1])
-    x, y = (xy[same] * scale - 0.5).astype(np.float32).T[:, None]
+    x, y = (xy * scale - 0.5).astype(np.float32).T[:, None]
     sampled = cv2.remap(np.dstack([theirs, usable]), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
     known = sampled[:, 3] > _KNOWN
-    return sampled[known, :3] - points[known]
+    height, width = mesh.grid_depth_m.shape
+    outwards = points.outwards[inside] - _outwards(*xy.T, width, height)
+    return sampled[known, :3] - points.logarithm[inside[known]], outwards[known]
