@@ -198,5 +198,5 @@ def _ratio(points: _Points, mesh: FrameMesh) -> tuple[Float[np.ndarray, "m 3"], 
     sampled = cv2.remap(np.dstack([theirs, usable]), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
     known = sampled[:, 3] > _KNOWN
     height, width = mesh.grid_depth_m.shape
-    outwards = points.outwards[inside] - _outwards(*xy.T, width, height)
+    outwards = points.outwards[inside] - _outwards(xy[:, 0], xy[:, 1], width, height)
     return sampled[known, :3] - points.logarithm[inside[known]], outwards[known]
