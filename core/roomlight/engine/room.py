@@ -24,8 +24,9 @@ from roomlight.engine.volume.sglv import Far, Sglv
 from roomlight.frame import Frame
 
 MOST_LEFT: Final = 2
-"""Most rooms that are remembered after they were left: 14 MB and `LEFT_KEYFRAMES` each. From a living room through a
-corridor to a kitchen, the living room is remembered."""
+"""Most rooms that are remembered after they were left, those of which most was seen: 14 MB and `LEFT_KEYFRAMES` each. A
+living room is remembered in the kitchen, though the floor of the corridor between was several rooms to a lowered
+phone."""
 LEFT_KEYFRAMES: Final = 12
 """Most keyframes of a room that was left: they cover a pan around it."""
 BACK_MARGIN: Final = 0.25
@@ -127,6 +128,12 @@ class RoomView:
         """Return a room that was left, with its meshes of those in `kept`, by index."""
         sglv = Sglv(saved.grid, saved.sglv["alpha"], saved.sglv["lobes"])
         return cls(saved.grid, sglv, far, new_probe, [(index, kept[index]) for index in saved.frames])
+
+    def shown_m2(self) -> float:
+        """Return about how much surface the keyframes show in the volume."""
+        store = KeyframeStore(self.grid)
+        cells = np.any([store.cells_of(mesh) for _, mesh in self.meshes], axis=0)
+        return float(cells.sum() * np.prod(self.grid.voxel_m) ** (2 / 3))
 
     def snapshot(self) -> LeftRoom:
         """Return what is saved of a room that was left, whose SGLV does not change."""

@@ -295,7 +295,10 @@ class Session:
             others = self._left
         if present is not None:
             room.take_over(present.meshes)
-            self._left = (*others, present.left())[-MOST_LEFT:]
+            left = [*others, present.left()]
+            if len(left) > MOST_LEFT:
+                del left[int(np.argmin([view.shown_m2() for view in left]))]
+            self._left = tuple(left)
         self._room = room
         for handle, probe in self._probes.items():
             self._probes[handle] = probe.in_room(room_at(probe.position, self._rooms))

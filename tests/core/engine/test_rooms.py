@@ -139,6 +139,15 @@ def test_rooms_beyond_the_limit_are_forgotten_and_their_probes_keep_what_was_see
     assert state_of(loaded) == state_of(session)
 
 
+def test_a_room_is_remembered_though_a_lowered_phone_passed_floors_since():
+    floors = [_wall(number, 1.0, z=-6.0 - 2.5 * number) for number in range(1, 2 * MOST_LEFT + 2)]
+    session = session_of([_far(0, 0), *floors], probes=[PROBE], height=HEIGHT)
+    assert session.rooms_left == MOST_LEFT
+    (probe,) = session.snapshot().probes
+    assert not probe.forgotten
+    assert session.light_at(PROBE).coverage > 0
+
+
 def test_a_frame_without_depth_begins_no_room():
     blind = replace(_far(1, 1), depth_m=np.zeros((120, 160), np.float32))
     session = session_of([_far(0, 0), blind], height=HEIGHT)

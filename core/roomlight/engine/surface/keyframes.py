@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from roomlight.engine.surface.change import contradicts
 from roomlight.engine.surface.mesh import FrameMesh, most_alike
@@ -99,7 +99,7 @@ class KeyframeStore:
         number = alike[turn % len(alike)]
         keyframe, last = self._keyframes[number], self.with_last()[-1]
         if contradicts(mesh, keyframe.mesh) and contradicts(last.mesh, keyframe.mesh):
-            lost = keyframe.cells & (self._counts == 1) & ~self._cells_of(mesh.vertices[mesh.known])
+            lost = keyframe.cells & (self._counts == 1) & ~self.cells_of(mesh)
             if lost.sum() <= _MOST_LOST * keyframe.cells.sum():
                 self._counts -= keyframe.cells
                 del self._keyframes[number]
@@ -129,16 +129,17 @@ class KeyframeStore:
         return keyframe
 
     def _keyframe(self, index: int, mesh: FrameMesh) -> Keyframe:
-        return Keyframe(index, mesh, self._cells_of(mesh.vertices[mesh.known]))
+        return Keyframe(index, mesh, self.cells_of(mesh))
 
     def _append(self, keyframe: Keyframe) -> None:
         self._keyframes.append(keyframe)
         self._keyframes.sort(key=lambda kept: kept.index)  # two rooms' frames interleave where a walk goes to and fro
         self._counts += keyframe.cells
 
-    def _cells_of(self, vertices_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " cells"]:
+    def cells_of(self, mesh: FrameMesh) -> Bool[np.ndarray, " cells"]:
+        """Return which cells of the volume the mesh covers."""
         grid = self._grid
-        local = vertices_world @ grid.world_to_volume[:3, :3].T + grid.world_to_volume[:3, 3]
+        local = mesh.vertices[mesh.known] @ grid.world_to_volume[:3, :3].T + grid.world_to_volume[:3, 3]
         shape = [-(-n // _CELL) for n in grid.shape]
         # Vertices outside count in the nearest cell: a session that begins with a close-up has a small volume, and
         # keyframes of the room around it must still be kept.
