@@ -157,5 +157,8 @@ def test_lights_are_as_strong_as_in_the_light_that_they_are_measured_in():
         assert (stronger.direction == light.direction).all()
         assert stronger.number == light.number
     assert brighter.main.intensity == pytest.approx(lights[0].intensity, rel=0.05)  # half faded in, twice as bright
+    near_second = panorama_directions(48) @ lights[1].direction[:, None] > 0.9
+    swapped = relit(tracked, before=before, after=np.where(near_second, 10 * before, before))
+    assert [light.number for light in swapped.sources] == [1, 0]
     dark = relit(tracked, before=before, after=np.full_like(before, 0.1))
     assert all(light.intensity.max() < 1e-3 for light in (dark.main, *dark.sources))

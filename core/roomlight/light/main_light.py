@@ -154,7 +154,8 @@ def relit(
 ) -> TrackedLights:
     """Return tracked lights as strong as another panorama of the same place has them.
 
-    Directions, sizes and numbers stay. Where a light was fading in or out in `before`, it fades as much in `after`.
+    Directions, sizes and numbers stay, the strongest is first. Where a light was fading in or out in `before`, it fades
+    as much in `after`.
     """
     seen, lit = Surroundings.of(before), Surroundings.of(after)
 
@@ -164,7 +165,8 @@ def relit(
         changed = replace(light, intensity=share * lit.intensity(light.direction))
         return replace(changed, shadow_strength=lit.shadow_strength(changed))
 
-    return TrackedLights(measured(tracked.main), tuple(measured(light) for light in tracked.sources))
+    sources = sorted(map(measured, tracked.sources), key=lambda light: -light.weight)
+    return TrackedLights(measured(tracked.main), tuple(sources))
 
 
 def without_lights(
