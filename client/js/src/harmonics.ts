@@ -21,7 +21,7 @@ export interface LightSourceValues {
   intensity: Vector;
   /** Angular radius in degrees of a round light of the same spread. */
   radius_deg?: number;
-  /** Share of the irradiance on a surface that faces the light, 0 to 1: how much darker its shadow is. */
+  /** Share of the irradiance on a surface that faces the light, 0 to 1: how much darker its shadow is there. */
   shadow_strength?: number;
   /** 1: brighter than any surface that the room's light explains; toward 0: it may be a bright surface. */
   emitted?: number;

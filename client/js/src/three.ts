@@ -46,7 +46,7 @@ const TEXTURE_MAKERS = { cube: cubeTexture, ktx2: cubeTexture, hdr: equirectText
  * Light a scene with the forms of a light. Call it again with each newer light.
  *
  * - `cube`, `ktx2` or `hdr` (of the use lighting): sets `scene.environment`, which lights everything. The directional light of a `main_light`
- *   then has intensity 0: it casts its shadow on a `ShadowMaterial`, as strong as `shadow_strength`, and adds no light.
+ *   then has intensity 0: it only casts its shadow, on a horizontal `ShadowMaterial`, as strong as it is on the ground.
  * - otherwise `sh`: a `LightProbe`; with `main_light` also a `DirectionalLight`, subtracted from the harmonics.
  *
  * Returns at once if the light is the same: its ETag, point and forms. Removes what an earlier light set and this one lacks.
@@ -73,7 +73,7 @@ export function applyToScene(scene: Scene, light: Light, options: ApplyOptions =
   setProbe(lights.probe, light, main);
   lights.directional.intensity *= environment ? 0 : intensity;
   // Without an environment a shadow is as strong as the light; with one it is drawn by a ShadowMaterial.
-  lights.directional.shadow.intensity = environment ? (main?.shadow_strength ?? 1) : 1;
+  lights.directional.shadow.intensity = environment && main ? shadowOnGround(main) : 1;
   lights.probe.intensity = environment ? 0 : intensity;
   lights.appliedKey = key;
   return lights;
@@ -142,6 +142,12 @@ function setDirectional(
   directional.target.position.set(...light.position);
   directional.position.set(...(main?.direction ?? ([0, 1, 0] as const)));
   directional.position.multiplyScalar(distance_m).add(directional.target.position);
+}
+
+/** The light's share of the irradiance on the ground, with other light as strong there as on a surface that faces it. */
+function shadowOnGround({ direction, shadow_strength = 1 }: MainLightValues): number {
+  const share = Math.max(direction[1], 0) * shadow_strength;
+  return share && share / (share + 1 - shadow_strength);
 }
 
 function setProbe(probe: LightProbe, light: Light, main: MainLightValues | undefined): void {

@@ -107,7 +107,6 @@ test("an environment replaces other lights, and equal light is kept", () => {
   const { probe, directional, environment } = applyToScene(scene, full, { intensity: 2, distance_m: 3 });
   assert.equal(scene.environment, environment);
   assert.deepEqual([scene.environmentIntensity, probe.intensity, directional.intensity], [2, 0, 0]);
-  assert.equal(directional.shadow.intensity, 0.4);
   assert.equal(directional.position.distanceTo(directional.target.position).toFixed(6), "3.000000");
   assert.equal(applyToScene(scene, { ...full }, { intensity: 2, distance_m: 3 }).environment, environment);
 
@@ -134,6 +133,20 @@ test("an environment replaces other lights, and equal light is kept", () => {
   assert.equal(without.directional.shadow.intensity, 1);
   assert.equal(applyToScene(scene, field.light([], "d")).directional.intensity, 0);
   assert.deepEqual(probe.sh.coefficients[0]!.toArray(), [0, 0, 0]);
+});
+
+test("with an environment a shadow is as strong as on the ground", () => {
+  for (const [y, shadow_strength, wanted] of [
+    [1, 0.4, 0.4],
+    [0.6, 0.5, 0.375],
+    [0.6, 1, 1],
+    [0, 1, 0],
+    [-0.6, 0.5, 0],
+  ] as const) {
+    const values = { direction: [Math.sqrt(1 - y * y), y, 0], intensity: [1, 1, 1], shadow_strength };
+    const { directional } = applyToScene(new Scene(), field.light([CUBE, { ...field.MAIN_LIGHT, values }]));
+    assert.equal(directional.shadow.intensity.toFixed(6), wanted.toFixed(6), `y ${y}, strength ${shadow_strength}`);
+  }
 });
 
 test("the app's own environment is kept", () => {

@@ -59,7 +59,7 @@ class MainLight:
         intensity: RGB irradiance >= 0 on a surface that faces the light, in radiance x steradian; float64.
         radius_deg: angular radius of a round light of the same spread, in degrees; 0 is a point.
         shadow_strength: share of the irradiance on a surface facing the light that the light gives, 0 to 1: how much
-            darker its shadow is.
+            darker its shadow is there. On the ground that is about y s / (y s + 1 - s) with y = max(direction[1], 0).
         emitted: 1 where the light is brighter than any surface that the room's light could explain (a lamp, a window),
             toward 0 where it may be a bright surface.
         number: identity of the light at a tracked probe, equal from frame to frame; elsewhere its rank, 0 the first;

@@ -22,7 +22,7 @@ public final class RoomLightClient: @unchecked Sendable {
         public let intensity: [Float]
         /// Angular radius in degrees of a round light of the same spread.
         public let radius_deg: Float
-        /// Share of the irradiance on a surface that faces the light, 0 to 1: how much darker its shadow is.
+        /// Share of the irradiance on a surface that faces the light, 0 to 1: how much darker its shadow is there.
         public let shadow_strength: Float
         /// 1: brighter than any surface that the room's light explains; toward 0: it may be a bright surface.
         public let emitted: Float
