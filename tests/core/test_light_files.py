@@ -36,8 +36,8 @@ def test_hdr_is_within_its_mantissa_and_unbiased(seed: int, scale: float, height
     panorama[0, 0] = 0
     decoded, _ = decode_colour(to_hdr(panorama), "light.hdr")
     error = (decoded - panorama) / np.maximum(panorama.max(axis=-1, keepdims=True), 1e-30)
-    # A step is 1/256 to 1/128 of the brightest channel: rounding errs by half a step, by one where it carries over.
-    assert np.abs(error).max() < 1 / 128
+    # A step is 1/256 to 1/128 of the brightest channel: rounding errs by half a step, 1.5/256 where it carries over.
+    assert np.abs(error).max() < 1.504 / 256
     assert np.abs(error).mean() < 1 / 500
     assert abs(error.mean()) < 2e-3 / np.sqrt(height)
     assert decoded[0, 0].tolist() == [0, 0, 0]

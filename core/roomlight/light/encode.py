@@ -21,7 +21,7 @@ def to_exr(panorama: Float[np.ndarray, "h w 3"], *, metadata: dict[str, str] | N
 
 
 def to_hdr(panorama: Float[np.ndarray, "h w 3"]) -> bytes:
-    """Encode as Radiance RGBE, run-length encoded; errors up to 1/256 of the brightest channel, negative becomes 0."""
+    """Encode as run-length encoded Radiance RGBE; errors up to 1.5/256 of the brightest channel, negative becomes 0."""
     panorama = np.maximum(check_panorama(panorama), 0)
     brightest = panorama.max(axis=-1, keepdims=True)
     # The encoder truncates mantissas, which darkens a picture by 0.3 % of its brightest channel: half a step rounds.
