@@ -1,7 +1,8 @@
 """Light sources of a panorama: the main light, which casts the shadows, and up to two others.
 
-A light is a lobe (lamp, window) of light above the room's level, the median luminance by solid angle. Within about 25
-degrees of the lobe's centre, the light above that level is the light's:
+A light is a lobe (lamp, window) of light above the room's level, the median luminance by solid angle. Pixels that are
+brighter than both that level and the mean count. Within about 25 degrees of the lobe's centre, what they have above the
+level is the light's:
 
     intensity = sum over the lobe of (share above the level) x radiance x solid angle
 
