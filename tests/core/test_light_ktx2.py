@@ -75,19 +75,6 @@ def test_data_format_descriptor_is_that_of_rgba16f() -> None:
         assert (lower, upper) == (struct.pack("<f", -1), struct.pack("<f", 1))
 
 
-def test_mipmaps_and_their_alpha() -> None:
-    cube = CubeMap.from_panorama(room(60), size=16)
-    alpha = np.random.default_rng(0).random((6, 16, 16)).astype(np.float32)
-    header, _, _, levels = read(cube.to_ktx2(alpha, mipmaps=True))
-    assert header["levels"] == len(levels) == 5
-    for mip, level in zip(cube.mips(), levels, strict=True):
-        np.testing.assert_array_equal(level[..., :3], mip.rgba16f()[..., :3])
-    np.testing.assert_allclose(levels[0][..., 3], alpha, atol=2**-11)
-    assert levels[-1][..., 3].mean() == pytest.approx(alpha.mean(), abs=0.02)
-    _, _, _, opaque = read(cube.to_ktx2(mipmaps=True))
-    assert all((level[..., 3] == 1).all() for level in opaque)
-
-
 def test_specular_levels_say_their_roughness() -> None:
     mips = prefilter(CubeMap.from_panorama(room(60), size=32))
     header, _, keys, levels = read(mips.to_ktx2())

@@ -1,6 +1,5 @@
 """Cube maps: six square faces in OpenGL's order and orientation (see `cube_geometry`)."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -75,13 +74,6 @@ class CubeMap:
         pixels = cube_to_panorama(height, self.size)(self.faces.reshape(-1, 3))
         return pixels.reshape(height, 2 * height, 3)
 
-    def mips(self) -> tuple["CubeMap", ...]:
-        """Return this cube and its halvings down to 1 pixel, each the mean over four texels by solid angle."""
-        levels: list[CubeMap] = [self]
-        while levels[-1].size % 2 == 0:
-            levels.append(CubeMap(halved(levels[-1].faces)))
-        return tuple(levels)
-
     def rgba16f(self, alpha: Float[np.ndarray, "6 s s"] | None = None) -> Float16[np.ndarray, "6 s s 4"]:
         """Return half floats with alpha (1 unless given), clipped to 65504 so that no infinity reaches a renderer."""
         image = np.empty((*self.faces.shape[:3], 4), np.float16)
@@ -93,16 +85,9 @@ class CubeMap:
         """Encode `rgba16f`, little endian, face after face and row after row: 8 bytes a pixel, 6 s s pixels."""
         return self.rgba16f(alpha).astype("<f2").tobytes()
 
-    def to_ktx2(self, alpha: Float[np.ndarray, "6 s s"] | None = None, *, mipmaps: bool = False) -> bytes:
-        """Encode `rgba16f` as a KTX2 file; `mipmaps` adds the levels down to 1 pixel."""
-        if not mipmaps:
-            return encode_ktx2([self.rgba16f(alpha)])
-        levels = self.mips()
-        alphas: Sequence[Float[np.ndarray, "6 s s"] | None] = [None] * len(levels)
-        if alpha is not None:
-            alpha_cube = CubeMap(np.repeat(alpha[..., None], 3, axis=-1)).mips()
-            alphas = [level.faces[..., 0] for level in alpha_cube]
-        return encode_ktx2([level.rgba16f(alpha) for level, alpha in zip(levels, alphas, strict=True)])
+    def to_ktx2(self, alpha: Float[np.ndarray, "6 s s"] | None = None) -> bytes:
+        """Encode `rgba16f` as a KTX2 file."""
+        return encode_ktx2([self.rgba16f(alpha)])
 
 
 def observed_cube(
