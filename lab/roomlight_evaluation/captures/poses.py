@@ -114,12 +114,13 @@ def evaluate_poses(
         reading: How captures are read; `fov_deg`, `depth_model`: how the videos are.
 
     Raises:
-        CaptureError: A capture cannot be read, or no camera of a video can be placed.
+        CaptureError: A capture cannot be read, or has no depth; or no camera of its video can be placed.
+        OptionError: A capture is a video without poses.
         ModelError: A model cannot be used.
     """
     scores: list[PoseScore] = []
     for done, path in enumerate(captures, 1):
-        capture = open_capture(path, replace(reading, fov_deg=None, depth_model=None))
+        capture = open_capture(path, replace(reading, fov_deg=None, depth="file", depth_model=None))
         with tempfile.TemporaryDirectory() as folder:
             scores.append(_score(capture, list(capture), Path(folder), light, reading))
         if progress is not None:

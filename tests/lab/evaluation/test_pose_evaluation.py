@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 
 from box_room import frame, pose
-from roomlight_evaluation.captures.poses import _in_view, rotation_deg, turned
+from roomlight.captures import CaptureOptions
+from roomlight.engine.session import SessionOptions
+from roomlight.errors import OptionError
+from roomlight_evaluation.captures.poses import _in_view, evaluate_poses, rotation_deg, turned
 
 
 def _yaw(degrees: float) -> np.ndarray:
@@ -29,3 +32,9 @@ def test_a_probe_is_in_view_before_the_camera_alone() -> None:
     assert _in_view(centre - back, shot)
     assert not _in_view(centre + back, shot)
     assert not _in_view(centre - back + 9 * shot.camera_to_world[:3, 0], shot)
+
+
+def test_a_video_has_no_poses_to_score_against(tmp_path) -> None:
+    (tmp_path / "room.mp4").write_bytes(b"never read")
+    with pytest.raises(OptionError, match="a video without depth"):
+        evaluate_poses([tmp_path / "room.mp4"], SessionOptions(model="classical"), CaptureOptions())
