@@ -59,19 +59,10 @@ def remark(word: str, text: str, console: Console = err) -> None:
 
 @runtime_checkable  # the test run checks annotations with isinstance
 class Scores(Protocol):
-    """What an evaluation returns."""
+    """What an evaluation or a benchmark returns."""
 
     def to_json(self) -> Any:
         """Return what `write_json` writes."""
-        ...
-
-
-@runtime_checkable
-class Report(Scores, Protocol):
-    """What a benchmark returns."""
-
-    def tables(self) -> list[Table]:
-        """Return the tables to print."""
         ...
 
 
@@ -173,16 +164,14 @@ def print_tables(*tables: RenderableType) -> None:
         print_table(out, table)
 
 
-def show_report(report: Report, json: Path | None) -> None:
-    """Print a benchmark's tables, and write its figures as JSON where a file is given. Raises OutputError."""
-    print_tables(*report.tables())
-    if json:
-        write_json(json, report.to_json())
-
-
 def show_scores(scores: Scores, json: Path | None, *tables: RenderableType) -> None:
-    """Print tables of scores, and write the scores as JSON where a file is given. Raises OutputError."""
-    print_tables(*tables)
+    """Print tables, and write all figures as JSON where a file is given: first, as a reader of the tables may leave.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
     if json:
         write_json(json, scores.to_json())
-        say(f"Scores: {json}")
+    print_tables(*tables)
+    if json:
+        say(f"Figures: {json}")

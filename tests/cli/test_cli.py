@@ -19,6 +19,7 @@ from roomlight_cli.commands.bench import BENCHMARKS
 from roomlight_cli.commands.evaluation import EVALUATIONS
 from roomlight_cli.lazy import CommandEntry, load_command
 from roomlight_evaluation.benchmark import benchmark_options
+from roomlight_evaluation.captures.scores import CaptureScores
 from written_captures import edited_copy
 
 
@@ -192,6 +193,17 @@ def test_parts_are_an_option_of_eval(tmp_path: Path, roomlight: RunCommand) -> N
     )
     assert result.code == 1
     assert "none: has none of the folders clipping, objects, prior" in result.err
+
+
+def test_scores_are_written_before_a_reader_of_the_tables_can_leave(tmp_path, monkeypatch) -> None:
+    def left(*_: object) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(console, "print_table", left)
+    scores = CaptureScores((), ())
+    with pytest.raises(BrokenPipeError):
+        console.show_scores(scores, tmp_path / "scores.json", "table")
+    assert json.loads((tmp_path / "scores.json").read_text())["tracks"] == []
 
 
 @pytest.mark.slow

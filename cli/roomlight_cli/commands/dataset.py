@@ -157,9 +157,9 @@ def stats(
     """
     with Progress("measuring") as progress:
         figures = compare_light(_not_empty(folder, split), against, limit=sequences, progress=progress.count)
-    print_light(console.out, figures)
-    if json:
+    if json:  # first: a reader of the tables may leave
         write_json(json, figures.to_json())
+    print_light(console.out, figures)
 
 
 def verify(folder: DatasetFolder, *, repair: bool = False) -> None:

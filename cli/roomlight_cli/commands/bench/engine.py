@@ -7,7 +7,7 @@ from annotated_types import Ge, Interval
 
 from roomlight_bench.compositing.composite import run_composite
 from roomlight_bench.stages.stages import run_against, run_stages
-from roomlight_cli.console import show_report
+from roomlight_cli.console import show_scores
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import FiguresJson
 
@@ -31,7 +31,7 @@ def stages(
             report = run_stages(repeats=repeats, model=weights, progress=progress.say)
         else:
             report = run_against(against, rounds=repeats, progress=progress.say)
-    show_report(report, json)
+    show_scores(report, json, *report.tables())
 
 
 def composite(
@@ -48,4 +48,4 @@ def composite(
     """
     with Progress("measuring") as progress:
         report = run_composite(frames=frames, final=final, progress=progress.say)
-    show_report(report, json)
+    show_scores(report, json, *report.tables())

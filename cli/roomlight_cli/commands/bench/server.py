@@ -2,7 +2,7 @@
 
 from roomlight_bench.server.hostile import HostileOptions, run_hostile
 from roomlight_bench.server.server import ServerBenchOptions, run_server_bench
-from roomlight_cli.console import show_report
+from roomlight_cli.console import show_scores
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import FiguresJson
 
@@ -15,7 +15,7 @@ def server(options: ServerBenchOptions, *, json: FiguresJson = None) -> None:
     """
     with Progress("measuring") as progress:
         report = run_server_bench(options, progress=progress.say)
-    show_report(report, json)
+    show_scores(report, json, *report.tables())
 
 
 def hostile(options: HostileOptions, *, json: FiguresJson = None) -> None:
@@ -26,4 +26,4 @@ def hostile(options: HostileOptions, *, json: FiguresJson = None) -> None:
     """
     with Progress("measuring") as progress:
         report = run_hostile(options, progress=progress.say)
-    show_report(report, json)
+    show_scores(report, json, *report.tables())
