@@ -28,7 +28,7 @@ from roomlight.frame import Frame
 from roomlight.imaging.tables import figure_table
 from roomlight.monocular.stream import DepthStream, open_depth_stream
 from roomlight_evaluation.captures.estimators import EngineEstimator
-from roomlight_evaluation.captures.evaluation import ProgressCallback, capture_room, score_frames
+from roomlight_evaluation.captures.evaluation import ProgressCallback, capture_names, capture_room, score_frames
 from roomlight_evaluation.captures.scores import Track
 from roomlight_evaluation.confidence import (
     MeanWithInterval,
@@ -117,13 +117,13 @@ def evaluate_depth(
         limit: Use this many walks of each dataset, evenly spread; None uses all.
 
     Raises:
-        CaptureError: A capture cannot be read, or has no depth; or there is nothing to score.
+        CaptureError: A capture cannot be read, or has no depth; two sources have one name; there is nothing to score.
         DatasetError: A dataset is damaged.
         ModelError: The depth model or the weights of `light` cannot be used.
     """
-    graphs = choose_graphs(light)
+    named, graphs = zip(capture_names(sources), sources, strict=True), choose_graphs(light)
     scores: list[DepthScore] = []
-    for room in (room for path in sources for room in _rooms(path, reading, split, limit)):
+    for room in (room for name, path in named for room in _rooms(name, path, reading, split, limit)):
         hidden, exact = _Hidden(light, graphs, reading.depth_model), EngineEstimator(light, graphs)
 
         def show(done: int, room: _Room = room) -> None:
@@ -199,19 +199,19 @@ class _Hidden(EngineEstimator):
         super().push(replace(bare, depth_m=stream_m))
 
 
-def _rooms(path: Path, reading: CaptureOptions, split: Split, limit: int | None) -> Iterator[_Room]:
+def _rooms(name: str, path: Path, reading: CaptureOptions, split: Split, limit: int | None) -> Iterator[_Room]:
     """Read a capture, or the walks of a dataset."""
     if not (path / MANIFEST).is_file():
         capture = open_capture(path, replace(reading, depth="file", depth_model=None))
         truths = [(probe.position, probe.panorama()) for probe in capture.probes if probe.panorama_path is not None]
-        yield _Room(path.resolve().name, _CAPTURES, capture, capture.frame_count, truths, capture_room(capture.path))
+        yield _Room(name, _CAPTURES, capture, capture.frame_count, truths, capture_room(capture.path))
         return
     dataset = Dataset(path, split)
     for number in evenly_spread(len(dataset), limit):
         recording = dataset[number]
         chosen = range(0, len(recording.colour), reading.every)[: reading.max_frames]
         frames = [recording.frame(k, recording.depth_mm[k]) for k in chosen]
-        yield _Room(recording.name, path.resolve().name, frames, len(frames), recording.truths(), recording.room)
+        yield _Room(recording.name, name, frames, len(frames), recording.truths(), recording.room)
 
 
 def _best_scaled(depth_m: Float32[np.ndarray, "h w"], true_m: Float32[np.ndarray, "th tw"]) -> Float[np.ndarray, "h w"]:

@@ -79,10 +79,7 @@ def evaluate_captures(
         OptionError: Two estimators have one name.
         ModelError: An estimator returned something else than a finite panorama without negative values.
     """
-    names = [path.stem if path.is_file() else path.name for path in map(Path.resolve, captures)]
-    for name in names:
-        if names.count(name) > 1:
-            raise CaptureError(f"two captures are called {name}: their results would be mixed up; rename one")
+    names = capture_names(captures)
     for path in captures:
         capture_room(path)  # an error there is told before minutes of work
     tracks: list[Track] = []
@@ -97,6 +94,19 @@ def evaluate_captures(
         summaries.append(summary)
         tracks.extend(scored)
     return CaptureScores(tuple(summaries), tuple(tracks))
+
+
+def capture_names(captures: Sequence[Path]) -> list[str]:
+    """Return the names of captures in results: of their folders, or of their files without ending.
+
+    Raises:
+        CaptureError: Two have one name.
+    """
+    names = [path.stem if path.is_file() else path.name for path in map(Path.resolve, captures)]
+    for name in names:
+        if names.count(name) > 1:
+            raise CaptureError(f"two captures are called {name}: their results would be mixed up; rename one")
+    return names
 
 
 def evaluate_capture(

@@ -26,7 +26,7 @@ from roomlight.engine.session import Session, SessionOptions
 from roomlight.imaging.tables import figure_table
 from roomlight.light.main_light import main_light
 from roomlight.placement import point_in_view
-from roomlight_evaluation.captures.evaluation import capture_room
+from roomlight_evaluation.captures.evaluation import capture_names, capture_room
 from roomlight_evaluation.confidence import MeanWithInterval, mean_cell, mean_with_interval, resampled
 
 METHODS: Final = ("tracked", "one panorama")
@@ -138,20 +138,20 @@ def evaluate_main_lights(
 
     Raises:
         ModelError: The weights that `session` names are missing or do not fit.
-        CaptureError: A capture cannot be read or has no usable frame.
+        CaptureError: A capture cannot be read or has no usable frame, or two captures have one name.
     """
-    graphs = choose_graphs(session)
+    names, graphs = capture_names(captures), choose_graphs(session)
     tracks: list[DirectionTrack] = []
-    for path in captures:
+    for name, path in zip(names, captures, strict=True):
         capture = open_capture(path, options or CaptureOptions())
-        tracks += _score_capture(capture, Session(session, graphs=graphs), progress)
+        tracks += _score_capture(capture, name, Session(session, graphs=graphs), progress)
     return MainLightScores(tuple(tracks))
 
 
 def _score_capture(
-    capture: Capture, session: Session, progress: Callable[[str, int, int], None] | None
+    capture: Capture, name: str, session: Session, progress: Callable[[str, int, int], None] | None
 ) -> list[DirectionTrack]:
-    name, room = capture.path.resolve().name, capture_room(capture.path)
+    room = capture_room(capture.path)
     probes = [probe for probe in capture.probes if probe.panorama_path is not None]
     truths = [main_light(probe.panorama()).direction for probe in probes] or [None]
     positions: list[Position] = [probe.position for probe in probes]

@@ -30,7 +30,7 @@ from roomlight.imaging.tables import figure_table
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.metrics import log_l2
 from roomlight.spheres import radiance_along, resize_panorama
-from roomlight_evaluation.captures.evaluation import ProgressCallback
+from roomlight_evaluation.captures.evaluation import ProgressCallback, capture_names
 
 _RATE: Final = 5.0
 """Frames a second of captures without timestamps."""
@@ -114,24 +114,25 @@ def evaluate_poses(
         reading: How captures are read; `fov_deg`, `depth_model`: how the videos are.
 
     Raises:
-        CaptureError: A capture cannot be read, or has no depth; or no camera of its video can be placed.
+        CaptureError: A capture cannot be read, or has no depth; no camera of its video can be placed; two captures have
+            one name.
         OptionError: A capture is a video without poses.
         ModelError: A model cannot be used.
     """
     scores: list[PoseScore] = []
-    for done, path in enumerate(captures, 1):
+    for done, (name, path) in enumerate(zip(capture_names(captures), captures, strict=True), 1):
         capture = open_capture(path, replace(reading, fov_deg=None, depth="file", depth_model=None))
         with tempfile.TemporaryDirectory() as folder:
-            scores.append(_score(capture, list(capture), Path(folder), light, reading))
+            scores.append(_score(name, capture, list(capture), Path(folder), light, reading))
         if progress is not None:
-            progress(path.name, done, len(captures))
+            progress(name, done, len(captures))
     if not scores:
         raise CaptureError("no capture is given to score")
     return PoseScores(tuple(scores))
 
 
 def _score(
-    capture: Capture, frames: list[Frame], folder: Path, light: SessionOptions, reading: CaptureOptions
+    name: str, capture: Capture, frames: list[Frame], folder: Path, light: SessionOptions, reading: CaptureOptions
 ) -> PoseScore:
     rate = capture.frames_per_second or _RATE
     with VideoWriter(folder / "video.mp4", frames_per_second=rate) as writer:
@@ -150,7 +151,7 @@ def _score(
         shift = float(np.sqrt(((a - scale * b) ** 2).sum(axis=1).mean())) / far
     horizon = np.median([_horizon_deg(a, b) for a, b in pairs])
     return PoseScore(
-        capture=capture.path.name,
+        capture=name,
         frames=video.frame_count,
         placed=len(placed) / video.frame_count,
         fov_error=placed[0].intrinsics.fx / frames[0].intrinsics.fx - 1,

@@ -24,7 +24,7 @@ from roomlight.frame import Frame
 from roomlight.spheres import resize_panorama, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import beside_classical
-from roomlight_evaluation.captures.evaluation import capture_room
+from roomlight_evaluation.captures.evaluation import capture_names, capture_room
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED, harmonics_and_directional
 from roomlight_evaluation.confidence import MeanWithInterval, evenly_spread, mean_with_interval, ratio_of_means
 from roomlight_evaluation.objects.lit_objects import LOOKS, MEASURES, SHADOW, LitObjects, unseen_look
@@ -107,12 +107,14 @@ def evaluate_objects(
         progress: Called as (room, rooms done, rooms in all) before each room.
 
     Raises:
-        CaptureError: A capture has no ground truth, no frame can be used, or no walk has a probe.
+        CaptureError: A capture has no ground truth, no frame can be used, or no walk has a probe; two sources have one
+            name.
         DatasetError: A dataset is damaged.
         ModelError: The weights are missing, damaged or untrained.
     """
     sessions = beside_classical(options)
-    rooms = [room for source in sources for room in _rooms(source, split, frames, limit)]
+    named = zip(capture_names(sources), sources, strict=True)
+    rooms = [room for name, source in named for room in _rooms(name, source, split, frames, limit)]
     scored: list[RoomObjects] = []
     for done, (name, read) in enumerate(rooms):
         if progress is not None:
@@ -134,13 +136,13 @@ _Shown = tuple[list[Frame], list[Truth], str | None]
 _Read = Callable[[], _Shown]
 
 
-def _rooms(source: Path, split: Split, frames: int, limit: int | None) -> Iterable[tuple[str, _Read]]:
+def _rooms(name: str, source: Path, split: Split, frames: int, limit: int | None) -> Iterable[tuple[str, _Read]]:
     if (source / MANIFEST).is_file():
         dataset = Dataset(source, split)
         for number in evenly_spread(len(dataset), limit):
-            yield f"{source.name} {number}", lambda number=number: _of_walk(dataset, number, frames)
+            yield f"{name} {number}", lambda number=number: _of_walk(dataset, number, frames)
     else:
-        yield source.name, lambda: _of_capture(source, frames)
+        yield name, lambda: _of_capture(source, frames)
 
 
 def _of_walk(dataset: Dataset, number: int, frames: int) -> _Shown:

@@ -19,11 +19,15 @@ from roomlight.frame import Frame
 from roomlight.images import write_exr
 from roomlight.metrics import METRICS, PAPER_INTERVALS
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
+from roomlight_evaluation.captures.depth import evaluate_depth
 from roomlight_evaluation.captures.estimators import Estimator, PredictionFolder
-from roomlight_evaluation.captures.evaluation import evaluate_captures, evaluate_engine
+from roomlight_evaluation.captures.evaluation import capture_names, evaluate_captures, evaluate_engine
+from roomlight_evaluation.captures.main_light import evaluate_main_lights
+from roomlight_evaluation.captures.poses import evaluate_poses
 from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track
 from roomlight_evaluation.captures.tables import capture_tables
 from roomlight_evaluation.confidence import mean_with_interval
+from roomlight_evaluation.objects.evaluation import evaluate_objects
 from rooms import BoxRoom, pan
 from written_captures import write_capture
 
@@ -247,6 +251,20 @@ def test_what_cannot_be_scored_is_named(tmp_path: Path) -> None:
     ):
         with pytest.raises(error, match=message):
             evaluate_captures(captures, lambda chosen=methods: chosen)
+
+
+def test_captures_of_one_name_are_not_merged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    captures, light, reading = [tmp_path / "a" / "room", tmp_path / "b" / "room"], SessionOptions(), CaptureOptions()
+    for evaluate in (
+        lambda: evaluate_main_lights(captures, light),
+        lambda: evaluate_depth(captures, light, reading),
+        lambda: evaluate_poses(captures, light, reading),
+        lambda: evaluate_objects(captures, light),
+    ):
+        with pytest.raises(CaptureError, match="two captures are called room"):
+            evaluate()
+    monkeypatch.chdir(tmp_path)
+    assert capture_names([Path()]) == [tmp_path.name]
 
 
 def test_scores_are_written_as_json(tmp_path: Path) -> None:
