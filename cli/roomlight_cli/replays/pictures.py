@@ -93,7 +93,7 @@ class ReplayPictures:
         self._positions = tuple(positions)
         self._labels = [f"Probe {n} at {position_text(position)}" for n, position in enumerate(positions)]
         self._shown = f", {MAX_PROBES} of {len(positions)} probes" if len(positions) > MAX_PROBES else ""
-        measured = {probe.position: probe for probe in capture.probes if probe.panorama_path is not None}
+        measured = {probe.position: probe for probe in capture.truths}
         self._truths = [measured[at].panorama() if at in measured else None for at in self._positions]
         self._wanted = sheet_times(capture.frame_count)
         self._picture = ReplayPicture(self._labels, views=state.views, frame_size=state.frame_size)

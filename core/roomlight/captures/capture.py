@@ -228,6 +228,11 @@ class Capture:
         return tuple(ProbeTruth((float(x), float(y), float(z)), panorama) for (x, y, z), panorama in placed)
 
     @property
+    def truths(self) -> tuple[ProbeTruth, ...]:
+        """Those of `probes` that have panoramas."""
+        return tuple(probe for probe in self.probes if probe.panorama_path is not None)
+
+    @property
     def frame_count(self) -> int:
         """Number of records selected by `every` and `max_frames`; iterating yields this many minus the skipped ones."""
         return len(self._indices)

@@ -203,7 +203,7 @@ def _rooms(name: str, path: Path, reading: CaptureOptions, split: Split, limit: 
     """Read a capture, or the walks of a dataset."""
     if not (path / MANIFEST).is_file():
         capture = open_capture(path, replace(reading, depth="file", depth_model=None))
-        truths = [(probe.position, probe.panorama()) for probe in capture.probes if probe.panorama_path is not None]
+        truths = [(probe.position, probe.panorama()) for probe in capture.truths]
         yield _Room(name, _CAPTURES, capture, capture.frame_count, truths, capture_room(capture.path))
         return
     dataset = Dataset(path, split)

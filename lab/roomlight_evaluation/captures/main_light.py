@@ -152,9 +152,8 @@ def _score_capture(
     capture: Capture, name: str, session: Session, progress: Callable[[str, int, int], None] | None
 ) -> list[DirectionTrack]:
     room = capture_room(capture.path)
-    probes = [probe for probe in capture.probes if probe.panorama_path is not None]
-    truths = [main_light(probe.panorama()).direction for probe in probes] or [None]
-    positions: list[Position] = [probe.position for probe in probes]
+    truths = [main_light(probe.panorama()).direction for probe in capture.truths] or [None]
+    positions: list[Position] = [probe.position for probe in capture.truths]
     handles: list[int] = []
     directions_of: dict[tuple[int, str], list[Direction]] = {}
     for count, frame in enumerate(capture, 1):

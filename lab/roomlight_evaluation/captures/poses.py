@@ -190,8 +190,7 @@ def _light(
     capture: Capture, exact: list[Frame], estimated: list[Frame], options: SessionOptions
 ) -> tuple[float, float] | None:
     """Return the mean errors of light at the capture's probes: by estimated and by exact poses and depth."""
-    probes = [probe for probe in capture.probes if probe.panorama_path is not None]
-    if not probes:
+    if not capture.truths:
         return None
     sessions = Session(options), Session(options)
     for frames, session in zip((estimated, exact), sessions, strict=True):
@@ -199,7 +198,7 @@ def _light(
             session.push(frame)
     turn = exact[0].camera_to_world[:3, :3] @ estimated[0].camera_to_world[:3, :3].T
     errors: list[tuple[float, float]] = []
-    for probe in probes:
+    for probe in capture.truths:
         position = np.array(probe.position)
         seen = next((pair for pair in zip(exact, estimated, strict=True) if _in_view(position, pair[0])), None)
         place = None if seen is None else _same_place(position, *seen)

@@ -154,7 +154,7 @@ def _of_walk(dataset: Dataset, number: int, frames: int) -> _Shown:
 
 def _of_capture(path: Path, frames: int) -> _Shown:
     capture = open_capture(path)
-    truths = [(probe.position, probe.panorama()) for probe in capture.probes if probe.panorama_path is not None]
+    truths = [(probe.position, probe.panorama()) for probe in capture.truths]
     if not truths:
         raise CaptureError(f"{path}: has no ground-truth probes; give captures that have them")
     room = capture_room(capture.path)

@@ -149,7 +149,7 @@ def test_main_light_and_ambient_shade_a_sphere_as_the_light_that_lights_things(r
 def test_objects_are_lit_better_than_by_the_session() -> None:
     """At the true probes of the sample room, after every second frame of its whole walk."""
     capture = open_capture(sample_capture())
-    probes = [probe for probe in capture.probes if probe.panorama_path is not None]
+    probes = capture.truths
     session = session_of(list(capture)[::2], probes=[probe.position for probe in probes], model="single")
     own, lit = dict.fromkeys(SPHERES, 0.0), dict.fromkeys(SPHERES, 0.0)
     for probe, handle in zip(probes, session.handles, strict=True):
