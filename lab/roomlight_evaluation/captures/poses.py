@@ -22,6 +22,7 @@ from roomlight.camera import rigid_inverse
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.captures.photo import read_photo
 from roomlight.conventions import Position, linear_to_srgb8, panorama_directions
+from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError
 from roomlight.frame import Frame
@@ -123,7 +124,7 @@ def evaluate_poses(
     for done, (name, path) in enumerate(zip(capture_names(captures), captures, strict=True), 1):
         capture = open_capture(path, replace(reading, fov_deg=None, depth="file", depth_model=None))
         with tempfile.TemporaryDirectory() as folder:
-            scores.append(_score(name, capture, list(capture), Path(folder), light, reading))
+            scores.append(_score(name, capture, Path(folder), light, reading))
         if progress is not None:
             progress(name, done, len(captures))
     if not scores:
@@ -131,15 +132,18 @@ def evaluate_poses(
     return PoseScores(tuple(scores))
 
 
-def _score(
-    name: str, capture: Capture, frames: list[Frame], folder: Path, light: SessionOptions, reading: CaptureOptions
-) -> PoseScore:
-    rate = capture.frames_per_second or _RATE
+def _score(name: str, capture: Capture, folder: Path, light: SessionOptions, reading: CaptureOptions) -> PoseScore:
+    rate, apart = capture.frames_per_second or _RATE, max(1, capture.frame_count // _PHOTOS)
+    frames: list[Frame] = []
+    photos_deg: list[float] = []
     with VideoWriter(folder / "video.mp4", frames_per_second=rate) as writer:
-        for frame in frames:
+        for number, frame in enumerate(capture):
             writer.write(linear_to_srgb8(np.clip(frame.image, 0, 1)))
+            if number % apart == 0 and len(photos_deg) < _PHOTOS:
+                photos_deg.append(_photo_deg(frame, folder))
+            frames.append(frame.resized(*WORKING_SIZE))  # as sessions take them: pictures as they are fill the memory
     video = open_capture(folder / "video.mp4", CaptureOptions(fov_deg=reading.fov_deg, depth_model=reading.depth_model))
-    placed = list(video)
+    placed = [frame.resized(*WORKING_SIZE) for frame in video]
     pairs = [(frames[round((frame.timestamp_s or 0) * rate)], frame) for frame in placed]
     true, estimated = _relative([frame for frame, _ in pairs]), _relative(placed)
     turns = [rotation_deg(a[:3, :3], b[:3, :3]) for a, b in zip(true, estimated, strict=True)][1:] or [0.0]
@@ -160,7 +164,7 @@ def _score(
         shift=shift,
         scale=scale,
         horizon_deg=float(horizon),
-        photo_deg=tuple(_photo_deg(frame, folder) for frame in frames[:: max(1, len(frames) // _PHOTOS)][:_PHOTOS]),
+        photo_deg=tuple(photos_deg),
         light=_light(capture, [a for a, _ in pairs], placed, light),
     )
 
