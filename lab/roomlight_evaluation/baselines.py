@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from roomlight.camera import transform_points
 from roomlight.conventions import Position, direction_to_uv
 from roomlight.engine.panorama.fill import push_pull
+from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.engine.volume.sglv import check_position
 from roomlight.frame import Frame
 
@@ -67,8 +68,8 @@ class WarpAndFill:
     Points are splatted into a z-buffer of `SUPERSAMPLING` times the panorama's resolution: a cell keeps
     its nearest point, at equal distance that of the newest frame. The cells with points are averaged to the panorama,
     and its pixels without any are filled smoothly from the others (`push_pull`). Pixels without depth are not warped,
-    so windows are lost: that is the weakness of this baseline. Frames are kept as points, 24 bytes for each pixel with
-    depth (1.8 MB for a 320 x 240 frame), so that a position requested late still gets every frame.
+    so windows are lost: that is the weakness of this baseline. Frames are reduced as the engine's are, and kept as
+    points, at most 1.8 MB each, so that a position requested late still gets every frame.
     """
 
     name = "warp and fill"
@@ -81,7 +82,7 @@ class WarpAndFill:
 
     def push(self, frame: Frame) -> None:
         """Add a frame's pixels with depth; a smaller depth map is enlarged by nearest neighbour."""
-        self._frames.append(_unproject(frame))
+        self._frames.append(_unproject(frame.resized(*WORKING_SIZE)))
 
     def light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:
         """Return the panorama at `position` (world metres); black before the first frame with depth.

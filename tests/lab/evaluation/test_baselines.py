@@ -70,6 +70,12 @@ def test_the_nearest_point_is_kept_and_of_equals_the_newest() -> None:
     assert expected == pytest.approx([0.2, 0.2, 0.6, 0.8])
 
 
+def test_large_frames_are_kept_at_the_size_of_the_engine() -> None:
+    method = WarpAndFill()
+    method.push(BoxRoom().frame(camera_at((0.0, 1.5, 0.0), 0.0), width=640, height=480))
+    assert len(method._frames[0][0]) == 320 * 240
+
+
 def test_pixels_without_depth_are_not_warped() -> None:
     frame = frame_at((0.0, 1.5, 0.0), 0.0)
     depth = np.zeros_like(frame.depth_m)
