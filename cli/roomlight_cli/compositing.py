@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -83,7 +83,8 @@ class ObjectOptions:
             raise OptionError("give either `scene`, a scene.json, or `object` with `pixel`")
         if self.object is not None and self.pixel is None:
             raise OptionError("`object` needs `pixel` U,V: the pixel of the first frame that shows where it stands")
-        given = [name for name in ("pixel", "material", "size_m") if getattr(self, name) is not None]
+        own = (f for f in fields(self) if f.name not in ("scene", "object"))
+        given = [f.name for f in own if getattr(self, f.name) != f.default]
         if self.scene is not None and given:
             names = ", ".join(f"`{name}`" for name in given)
             raise OptionError(f"{names}: belongs to `object`; with `scene`, write it into {self.scene}")

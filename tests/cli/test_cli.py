@@ -172,10 +172,20 @@ def test_a_bad_argument_is_a_usage_error(
     assert not (tmp_path / "out").exists()
 
 
-def test_scores_of_captures_exclude_each_other(roomlight: RunCommand) -> None:
-    result = roomlight("eval", "captures", sample_capture(), "--main-light", "--predictions", ".")
-    assert result.code == 2
-    assert "--main-light scores tracked probes" in result.err
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        (("eval", "captures", sample_capture(), "--main-light", "--predictions", "."), "scores tracked probes"),
+        (("bench", "stages", "--against", ".", "--weights", "w"), "leave out --weights with --against"),
+        (("demo", "--no-browser", "--port", "1"), "--port is of the live page"),
+    ],
+)
+def test_options_that_exclude_each_other_are_refused(
+    command: tuple[object, ...], says: str, tmp_path: Path, roomlight: RunCommand
+) -> None:
+    result = roomlight(*command, cwd=tmp_path)
+    assert result.code in (1, 2)
+    assert says in result.err
 
 
 def test_the_main_light_is_scored_on_a_capture(small_capture: Path, tmp_path: Path, roomlight: RunCommand) -> None:

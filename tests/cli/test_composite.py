@@ -226,6 +226,7 @@ def test_what_makes_long_work_shorter_is_told(roomlight, capture, tmp_path, monk
         (("--object", "sphere", "--pixel", "300,3"), "must lie in the image of 64 x 48 pixels"),
         (("--scene", "missing.json"), "missing.json: cannot be read"),
         (("--scene", "missing.json", "--size", "1"), "--size: belongs to --object"),
+        (("--scene", "missing.json", "--yaw", "90", "--up", "z"), "--yaw, --up: belongs to --object"),
         ((*BALL, "--layers", "--out", "film.mp4"), "a film has no layers"),
         ((*BALL, "--picture", "png", "--out", "film.mp4"), "a film has no --picture format"),
         ((*BALL, "--fps", "25", "--out", "new"), "--fps is of films"),

@@ -8,6 +8,7 @@ from annotated_types import Interval
 from roomlight.captures import CaptureOptions
 from roomlight.compositing.placement.scene import load_scene
 from roomlight.engine.session import SessionOptions
+from roomlight.errors import OptionError
 from roomlight.sample import sample_capture
 from roomlight_cli.commands.replay import replay
 from roomlight_cli.compositing import CompositeOptions, composite_recording
@@ -43,6 +44,8 @@ def demo(
         out: Write pictures to this folder (without a browser: roomlight-demo); an earlier demo is replaced.
         port: Port of the page (default: 8090, or a free one).
     """
+    if port is not None and (not browser or out is not None):
+        raise OptionError("`port` is of the live page: leave it out where pictures are written")
     capture = sample_capture()
     if browser and out is None:
         default = find_browser() if page_is_built() else None

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Interval
 
+from roomlight.errors import OptionError
 from roomlight_bench.compositing.composite import run_composite
 from roomlight_bench.stages.stages import run_against, run_stages
 from roomlight_cli.console import show_scores
@@ -26,6 +27,8 @@ def stages(
         weights: A model folder of `roomlight export`. Default: the single-view networks inside the package.
         against: Instead: whole frames and late points in turns with those of this other checkout of RoomLight.
     """
+    if against is not None and weights is not None:
+        raise OptionError("each checkout is timed with its own networks: leave out `weights` with `against`")
     with Progress("measuring") as progress:
         if against is None:
             report = run_stages(repeats=repeats, model=weights, progress=progress.say)
