@@ -18,7 +18,7 @@ from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import PARTS, LightingGraphs, part_folder
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import OutputError, SceneError
-from roomlight.files import write_atomic
+from roomlight.files import check_writable, write_atomic
 from roomlight_evaluation.composites.methods import HARMONICS, OURS, TRUE_LIGHT, composites
 from roomlight_evaluation.composites.regions import SHADOW, darker_part
 from roomlight_evaluation.composites.scenes import CompositeScene, scene_for, scenes_digest
@@ -56,10 +56,13 @@ def evaluate_composites(
         progress: Called as (scenes done, scenes in all, what was done) after each room.
 
     Raises:
-        OutputError: `out` has scores of other settings, weights, furniture or of another generator, or is damaged.
+        OutputError: `out` has scores of other settings, weights, furniture or of another generator, or is damaged; it,
+            `keep` or `pictures` cannot be written.
         SceneError: `_ROOMS_IN_A_ROW` rooms one after the other give no scene.
         ModelError: The weights cannot be used.
     """
+    for path in (out, *(folder / "scene" for folder in (keep, pictures) if folder is not None)):
+        check_writable(path)
     options = options or SessionOptions()
     graphs = choose_graphs(options)
     done, settings = read_lines(out), settings_of(options, seed, graphs)

@@ -160,6 +160,15 @@ def test_scores_survive_their_file_and_runs_continue(tmp_path, monkeypatch):
         read_lines(out)
 
 
+@pytest.mark.parametrize("part", ["out", "keep", "pictures"])
+def test_what_cannot_be_written_is_told_before_a_scene_is_rendered(part, tmp_path, monkeypatch):
+    monkeypatch.setattr(composite_evaluation, "kept_scene", lambda *_, **__: pytest.fail("a scene was rendered"))
+    (tmp_path / "file").touch()
+    paths = {"out": tmp_path / "scores.jsonl", part: tmp_path / "file" / "below"}
+    with pytest.raises(OutputError, match=r"is a file|cannot be written"):
+        composite_evaluation.evaluate_composites(1, **paths, options=SessionOptions(model="classical"))
+
+
 def test_ratios_are_of_means_over_the_same_scenes():
     scores = CompositeScores(tuple(score(k, 1.0 + k, MATERIALS[k % 3]) for k in range(6)))
     ratio = scores.ratio(OURS, SHADOW, "rmse")
