@@ -70,6 +70,7 @@ def scoring_progress() -> Generator[Progress]:
     """Show the progress of an evaluation, whose kernels are loaded first."""
     with Progress(LOADING) as progress:
         warm_up()
+        progress.say("scoring")
         yield progress
 
 

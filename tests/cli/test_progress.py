@@ -6,6 +6,7 @@ import pytest
 from rich.console import Console
 
 from roomlight_cli import progress as progress_module
+from roomlight_cli import shared_options
 from roomlight_cli.progress import Progress, duration
 
 
@@ -54,3 +55,9 @@ def test_a_terminal_has_a_bar() -> None:
 
 def test_durations() -> None:
     assert [duration(s) for s in (0.0, 65.0, 3599.6, 7265.0)] == ["0:00", "1:05", "1:00:00", "2:01:05"]
+
+
+def test_an_evaluation_scores_once_its_kernels_are_loaded(monkeypatch):
+    monkeypatch.setattr(shared_options, "warm_up", lambda: None)
+    with shared_options.scoring_progress() as progress:
+        assert progress.line().startswith("scoring")

@@ -55,7 +55,6 @@ def walks(
     note_unused_objects(light)
     models = compared(light)
     with scoring_progress() as progress:
-        progress.say("scoring")
         folders = [Dataset(folder, split) for folder in data]
         scores = evaluate_walks(folders, models, limit=limit, progress=progress.count)
     show_scores(scores, json, *capture_tables(scores))
@@ -94,7 +93,6 @@ def benchmark(data: Path, options: BenchmarkOptions, light: ScoredLight, *, json
         generate(data, wanted, workers=options.workers, progress=show_generation(progress))
     folder = Dataset(data, "test")
     with scoring_progress() as progress:
-        progress.say("scoring")
         scores = evaluate_benchmark(folder, light, rooms=options.rooms, depth=options.depth, progress=progress.count)
     show_scores(scores, json, *scores.tables(title=f"{options.depth} depth, seed {options.seed}"))
     say(f"SHA-256 of the rooms: {rooms_digest(data, options.rooms)}")
