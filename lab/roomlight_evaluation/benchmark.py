@@ -3,9 +3,10 @@
 Rooms come from a seed (`benchmark_options`): one walk of 31 frames and three probes each, of the split that no network
 was trained on. Scored are mirror, matte silver and diffuse spheres (LeGendre et al. 2019), seen from the first camera:
 RMSE, scale-invariant RMSE and angular error of their pixels, in linear radiance (units of the first frame's white) and
-as StyleLight and DiffusionLight score them (`tone_mapped`), on data of their own. A room's figure is the mean over its
-probes; intervals are over rooms. Models give the mirror their reflection and the other spheres their lighting
-(`roomlight.light.sources.LightUse`).
+`tone_mapped` as StyleLight and DiffusionLight score them, on data of their own: the mirror is theirs, which reflects
+0.8; their silver (0.8, roughness 0.33) and diffuse sphere (0.8, with a glossy coat) are other materials than ours. A
+room's figure is the mean over its probes; intervals are over rooms. Models give the mirror their reflection and the
+other spheres their lighting (`roomlight.light.sources.LightUse`).
 """
 
 import hashlib
@@ -37,6 +38,8 @@ ERRORS: Final = _ERRORS | {f"toned_{key}": f"tone-mapped: {name}" for key, name 
 """Kinds of error and their headings."""
 _GAMMA: Final = 2.4
 _MEDIAN: Final = 0.5
+_MIRROR: Final = 0.8
+"""What the mirror of tone-mapped scores reflects."""
 SINGLE_IMAGE: Final = "one image"
 Panorama = Float[np.ndarray, "h w 3"]
 _Sessions = Sequence[tuple[SessionOptions, LightingGraphs | None]]
@@ -183,7 +186,8 @@ class _Judge:
     def errors(self, prediction: Panorama, sphere: Material) -> dict[str, float]:
         errors, toned = self._linear.errors(prediction, sphere), self._toned.errors(tone_mapped(prediction), sphere)
         # theirs sums squares over the channels and divides by the pixels
-        scale = {"rmse": np.sqrt(3.0), "si_rmse": np.sqrt(3.0), "angular_deg": 1.0}
+        error = np.sqrt(3.0) * (_MIRROR if sphere == "mirror" else 1.0)
+        scale = {"rmse": error, "si_rmse": error, "angular_deg": 1.0}
         return errors | {f"toned_{key}": value * scale[key] for key, value in toned.items()}
 
 

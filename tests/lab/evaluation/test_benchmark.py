@@ -81,7 +81,8 @@ def test_tone_mapped_errors_do_not_know_brightness_and_sum_over_channels():
     assert (same["toned_rmse"], same["toned_si_rmse"]) == pytest.approx((0, 0), abs=1e-5)
     red = np.full((16, 32, 3), 1.0, np.float32)
     red[..., 0] = 2.0**2.4
-    assert judge.errors(red, "diffuse")["toned_rmse"] == pytest.approx(0.5, rel=1e-3)  # 1, 0.5, 0.5 for 0.5 each
+    for sphere, reflected in (("diffuse", 1.0), ("mirror", 0.8)):  # 1, 0.5, 0.5 for 0.5 each
+        assert judge.errors(red, sphere)["toned_rmse"] == pytest.approx(0.5 * reflected, rel=1e-3)
 
 
 def test_tables_and_json_hold_every_room(scores):
