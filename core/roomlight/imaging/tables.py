@@ -12,6 +12,8 @@ def figure_table(
 ) -> Table:
     """Return a table with names in the first column and figures in the others, which keep their width.
 
+    Title, caption and rows are text: what they hold in [brackets] is no markup. `Table.add_row` takes markup.
+
     Args:
         title: Of the table.
         headings: Of the columns of figures.
@@ -22,7 +24,7 @@ def figure_table(
     table = Table(
         title=escape(title),
         title_justify="left",
-        caption=caption,
+        caption=escape(caption),
         caption_justify="left",
         box=box.SIMPLE_HEAD,
         padding=(0, gap, 0, 0),
@@ -31,5 +33,5 @@ def figure_table(
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(escape, row))
     return table

@@ -80,20 +80,20 @@ class DepthScores:
         """Return a row for each capture, and for the captures and each dataset the means with 95 % intervals."""
         columns = [*(f"AbsRel {method}" for method in METHODS), *(f"delta {method}" for method in METHODS[1:3])]
         note = "light: error by estimated depth over that by exact depth"
-        table = figure_table("estimated depth", [*columns, *LIGHT.values()], caption=note)
         sources = dict.fromkeys(score.source for score in self.scores)
         groups = [(score.room, [score]) for score in self.scores if score.source == _CAPTURES]
         groups += [(name, [score for score in self.scores if score.source == name]) for name in sources]
+        rows: list[list[str]] = []
         for name, scores in groups:
-            rooms = [score.of_room or score.room for score in scores]
+            of_rooms = [score.of_room or score.room for score in scores]
             means = (
-                *(mean_with_interval((score.abs_rel[method] for score in scores), rooms) for method in METHODS),
-                *(mean_with_interval((score.delta[method] for score in scores), rooms) for method in METHODS[1:3]),
+                *(mean_with_interval((score.abs_rel[method] for score in scores), of_rooms) for method in METHODS),
+                *(mean_with_interval((score.delta[method] for score in scores), of_rooms) for method in METHODS[1:3]),
                 *(_light_ratio(scores, metric) for metric in LIGHT),
             )
             title = f"{name} ({len(scores)})" if name in sources else name
-            table.add_row(title, *(mean_cell(mean, 2) for mean in means))
-        return table
+            rows.append([title, *(mean_cell(mean, 2) for mean in means)])
+        return figure_table("estimated depth", [*columns, *LIGHT.values()], rows, caption=note)
 
     def to_json(self) -> dict[str, Any]:
         """Return all scores as plain JSON values."""

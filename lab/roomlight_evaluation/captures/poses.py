@@ -84,17 +84,13 @@ class PoseScores:
     def table(self) -> Table:
         """Return a row for each capture, the median and the worst."""
         columns = ["placed", "focal", "turn", "worst turn", "shift", "scale", "horizon", "photo", "light"]
-        table = figure_table("estimated poses", columns, caption=_UNITS)
-        rows = [_figures(score) for score in self.scores]
-        for score, row in zip(self.scores, rows, strict=True):
-            table.add_row(score.capture, *(f"{value:.3g}" for value in row))
-        if len(rows) > 1:
-            values = np.array(rows)
+        names, values = [score.capture for score in self.scores], np.array([_figures(score) for score in self.scores])
+        if len(names) > 1:
             worst = np.nanmax(values, axis=0)
             worst[0] = values[:, 0].min()
-            table.add_row("median", *(f"{value:.3g}" for value in np.nanmedian(values, axis=0)))
-            table.add_row("worst", *(f"{value:.3g}" for value in worst))
-        return table
+            names, values = [*names, "median", "worst"], np.vstack([values, np.nanmedian(values, axis=0), worst])
+        rows = ([name, *(f"{value:.3g}" for value in row)] for name, row in zip(names, values, strict=True))
+        return figure_table("estimated poses", columns, rows, caption=_UNITS)
 
     def to_json(self) -> dict[str, Any]:
         """Return all scores as plain JSON values."""

@@ -3,6 +3,7 @@
 import math
 from typing import Final
 
+from rich.markup import escape
 from rich.table import Table
 
 from roomlight.imaging.tables import figure_table
@@ -80,7 +81,7 @@ def _table(scores: CaptureScores, title: str, *, capture: str | None = None, cap
         table.add_row(f"[bold]{metric.title}[/bold]")
         for number, (method, cells) in enumerate(rows.items()):
             table.add_row(
-                f" {method}",
+                f" {escape(method)}",
                 *(
                     _mean(cell, metric, best=cell.mean == lowest and len(rows) > 1)
                     for cell, lowest in zip(cells, best, strict=True)

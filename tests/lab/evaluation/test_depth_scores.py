@@ -75,14 +75,14 @@ def test_the_table_has_means_and_their_intervals_over_captures_and_over_the_walk
 
     table = DepthScores(
         (
-            score("a", "captures", 0.1, {"log_l2": (0.3, 0.2), "si_rmse_diffuse": (0.2, 0.2)}),
+            score("a [y]", "captures", 0.1, {"log_l2": (0.3, 0.2), "si_rmse_diffuse": (0.2, 0.2)}),
             score("walk", "rooms", 0.4, {}),
             score("b", "captures", 0.3, {"log_l2": (0.1, 0.2), "si_rmse_diffuse": (0.6, 0.2)}),
             score("c", "captures", 0.2, {}),
         )
     ).table()
     rows = list(zip(*(column.cells for column in table.columns), strict=True))
-    assert rows[0] == ("a", *["0.10"] * 4, *["0.50"] * 2, "1.50", "1.00")
+    assert rows[0] == (r"a \[y]", *["0.10"] * 4, *["0.50"] * 2, "1.50", "1.00")
     assert rows[2][-2:] == ("-", "-")
     assert rows[3][:2] == ("captures (3)", "0.20 (0.10 to 0.30)")
     assert rows[3][7:] == ("1.00 (0.50 to 1.50)", "2.00 (1.00 to 3.00)")

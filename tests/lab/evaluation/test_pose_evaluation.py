@@ -8,7 +8,7 @@ from box_room import frame, pose
 from roomlight.captures import CaptureOptions
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import OptionError
-from roomlight_evaluation.captures.poses import _in_view, evaluate_poses, rotation_deg, turned
+from roomlight_evaluation.captures.poses import PoseScore, PoseScores, _in_view, evaluate_poses, rotation_deg, turned
 
 
 def _yaw(degrees: float) -> np.ndarray:
@@ -32,6 +32,13 @@ def test_a_probe_is_in_view_before_the_camera_alone() -> None:
     assert _in_view(centre - back, shot)
     assert not _in_view(centre + back, shot)
     assert not _in_view(centre - back + 9 * shot.camera_to_world[:3, 0], shot)
+
+
+def test_the_table_has_captures_by_their_names_the_median_and_the_worst() -> None:
+    near, far = (PoseScore(f"a [y{n:g}]", 9, 1.0, 0.1, n, n, n, 1.0, 0.2, (0.1,), (n, 1.0)) for n in (1.0, 3.0))
+    names, *_, light = (list(column.cells) for column in PoseScores((near, far)).table().columns)
+    assert names == [r"a \[y1]", r"a \[y3]", "median", "worst"]
+    assert light == ["1", "3", "2", "3"]
 
 
 def test_a_video_has_no_poses_to_score_against(tmp_path) -> None:
