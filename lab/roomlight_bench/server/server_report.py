@@ -11,7 +11,7 @@ from roomlight.imaging.tables import figure_table
 from roomlight_bench.reporting import Criterion, criteria_table, short_number
 from roomlight_bench.server.server_load import IN_FLIGHT
 
-OVERHEAD_SHARE: Final = 0.15
+OVERHEAD_SHARE: Final = 0.05
 """Limit on the time that HTTP adds to a frame, as a share."""
 HEALTH_MS: Final = 50.0
 """Limit on the response time of /healthz while frames are processed."""

@@ -15,7 +15,7 @@ BENCHMARKS: Final = (
     CommandEntry(
         "server",
         f"{_COMMANDS}.server:server",
-        "Load a server on this machine with streaming phones, beside direct engine calls (3 minutes).",
+        "Load a server on this machine with streaming phones, beside direct engine calls (2 minutes).",
     ),
     CommandEntry(
         "hostile",

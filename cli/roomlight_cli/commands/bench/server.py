@@ -8,7 +8,7 @@ from roomlight_cli.shared_options import FiguresJson
 
 
 def server(options: ServerBenchOptions, *, json: FiguresJson = None) -> None:
-    """Load a server on this machine with streaming phones, beside direct engine calls (3 minutes).
+    """Load a server on this machine with streaming phones, beside direct engine calls (2 minutes).
 
     Args:
         options: What to measure.
