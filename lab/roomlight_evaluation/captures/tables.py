@@ -57,13 +57,17 @@ def _ratios_of_all(scores: CaptureScores, *, to: str) -> Table:
 
 
 def _ratios(scores: CaptureScores, method: str, *, to: str) -> Table:
-    rows = [*((capture.name, capture.name) for capture in scores.captures), (f"all {len(scores.captures)}", None)]
+    names: list[str | None] = [capture.name for capture in scores.captures]
+    names += [None] if len(names) > 1 else []
     return figure_table(
         f"{method} to {to}",
         [*_COMPARED.values()],
         (
-            [title, *(mean_cell(scores.ratio(key, method, to, capture=name)) for key in _COMPARED)]
-            for title, name in rows
+            [
+                name or f"all {len(scores.captures)}",
+                *(mean_cell(scores.ratio(key, method, to, capture=name)) for key in _COMPARED),
+            ]
+            for name in names
         ),
         caption=f"ratio of mean errors over captures (95 % bootstrap interval over {scores.resampled})",
     )

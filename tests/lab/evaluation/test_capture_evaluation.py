@@ -334,6 +334,9 @@ def test_captures_are_compared_with_the_classical_model() -> None:
         ["a", "b", "all 2"],
         ["0.500", "1.000", "0.750 (0.500 to 1.000)"],
     ]
+    of_a = {"captures": scores.captures[:1], "tracks": tuple(t for t in scores.tracks if t.capture == "a")}
+    *_, table = capture_tables(dataclasses.replace(scores, **of_a), per_capture=True)
+    assert [*table.columns[0].cells] == ["a"]
     *_, table = capture_tables(scores)
     assert [list(column.cells) for column in table.columns][:2] == [["single"], ["0.750 (0.500 to 1.000)"]]
     alike = tuple(dataclasses.replace(capture, room="a") for capture in scores.captures)
