@@ -112,6 +112,7 @@ def test_version(roomlight: RunCommand) -> None:
     [
         (("replay", "nowhere", "--out", "out"), "nowhere"),
         (("replay", ".", "--out", "out"), "roomlight"),
+        (("eval", "objects", ".", "--format", "nerfstudio"), "transforms.json: cannot be read"),
         (("export", "nothing.pt", "--out", "model"), "nothing.pt"),
         (("light", "a [bold]photo[/x]", "--depth", "d", "--probe", "0,0,-1", "--out", "out"), "a [bold]photo[/x]:"),
         (("replay", "a [bold]room[/x]", "--out", "out"), "error: a [bold]room[/x]: there is no such file"),

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.captures import open_capture
+from roomlight.captures import CaptureOptions, open_capture
 from roomlight.conventions import Position
 from roomlight.dataset.folder import MANIFEST
 from roomlight.dataset.loader import Dataset
@@ -93,6 +93,7 @@ def evaluate_objects(
     sources: Sequence[Path],
     options: SessionOptions,
     *,
+    reading: CaptureOptions | None = None,
     frames: int = 6,
     split: Split = "test",
     limit: int | None = None,
@@ -102,6 +103,7 @@ def evaluate_objects(
 
     Args:
         sources: Captures with ground truth, and dataset folders.
+        reading: How captures are read.
         frames: How many of a recording's frames are shown, evenly spread.
         limit: Use this many walks of each dataset, evenly spread; None uses all.
         progress: Called as (room, rooms done, rooms in all) before each room.
@@ -114,7 +116,7 @@ def evaluate_objects(
     """
     sessions = beside_classical(options)
     named = zip(capture_names(sources), sources, strict=True)
-    rooms = [room for name, source in named for room in _rooms(name, source, split, frames, limit)]
+    rooms = [room for name, source in named for room in _rooms(name, source, reading, split, frames, limit)]
     scored: list[RoomObjects] = []
     for done, (name, read) in enumerate(rooms):
         if progress is not None:
@@ -136,13 +138,15 @@ _Shown = tuple[list[Frame], list[Truth], str | None]
 _Read = Callable[[], _Shown]
 
 
-def _rooms(name: str, source: Path, split: Split, frames: int, limit: int | None) -> Iterable[tuple[str, _Read]]:
+def _rooms(
+    name: str, source: Path, reading: CaptureOptions | None, split: Split, frames: int, limit: int | None
+) -> Iterable[tuple[str, _Read]]:
     if (source / MANIFEST).is_file():
         dataset = Dataset(source, split)
         for number in evenly_spread(len(dataset), limit):
             yield f"{name} {number}", lambda number=number: _of_walk(dataset, number, frames)
     else:
-        yield name, lambda: _of_capture(source, frames)
+        yield name, lambda: _of_capture(source, frames, reading)
 
 
 def _of_walk(dataset: Dataset, number: int, frames: int) -> _Shown:
@@ -152,8 +156,8 @@ def _of_walk(dataset: Dataset, number: int, frames: int) -> _Shown:
     return pictures, recording.truths(), recording.room
 
 
-def _of_capture(path: Path, frames: int) -> _Shown:
-    capture = open_capture(path)
+def _of_capture(path: Path, frames: int, reading: CaptureOptions | None = None) -> _Shown:
+    capture = open_capture(path, reading or CaptureOptions())
     truths = [(probe.position, probe.panorama()) for probe in capture.truths]
     if not truths:
         raise CaptureError(f"{path}: has no ground-truth probes; give captures that have them")

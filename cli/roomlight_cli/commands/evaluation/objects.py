@@ -6,8 +6,10 @@ from typing import Annotated
 
 from annotated_types import Ge
 
+from roomlight.captures import CaptureOptions
 from roomlight.dataset.recording import Split
 from roomlight_cli.console import print_tables, say, show_scores
+from roomlight_cli.options import Without
 from roomlight_cli.shared_options import ScoredLight, ScoresJson, scoring_progress
 from roomlight_evaluation.composites.evaluation import evaluate_composites
 from roomlight_evaluation.composites.tables import composite_tables, summary
@@ -60,6 +62,7 @@ def composite(out: Path, options: CompositeScoreOptions, light: ScoredLight) -> 
 def objects(
     sources: tuple[Path, ...],
     light: ScoredLight,
+    reading: Annotated[CaptureOptions, Without("every", "max_frames")],
     *,
     frames: Annotated[int, Ge(1)] = 6,
     split: Split = "test",
@@ -74,10 +77,13 @@ def objects(
     Args:
         sources: Captures with ground-truth probes, and dataset folders.
         light: How to estimate the light.
+        reading: How to read the captures.
         frames: Show this many frames of each recording, evenly spread.
         split: Of dataset folders; no network is trained on test.
         limit: Use this many walks of each dataset.
     """
     with scoring_progress() as progress:
-        scores = evaluate_objects(sources, light, frames=frames, split=split, limit=limit, progress=progress.count_of)
+        scores = evaluate_objects(
+            sources, light, reading=reading, frames=frames, split=split, limit=limit, progress=progress.count_of
+        )
     show_scores(scores, json, *object_tables(scores))
