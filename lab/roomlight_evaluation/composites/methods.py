@@ -14,20 +14,18 @@ from roomlight.conventions import panorama_rays, panorama_solid_angles
 from roomlight.engine.session import Session
 from roomlight.light.main_light import main_light
 from roomlight.light.spherical_harmonics import project
-from roomlight_evaluation.baselines import MeanColour, WarpAndFill
+from roomlight_evaluation.baselines import WarpAndFill
 from roomlight_evaluation.composites.scenes import CompositeScene
 
 OURS: Final = "ours"
 NO_SHADOW: Final = "no shadow"
-MEAN_COLOUR: Final = "mean colour"
 HARMONICS: Final = "SH + directional"
-HARMONICS_OURS: Final = "SH + directional of ours"
 WARPED: Final = "warp and fill"
 TRUE_LIGHT: Final = "true panorama"
-METHODS: Final = (NO_SHADOW, MEAN_COLOUR, HARMONICS, HARMONICS_OURS, WARPED, OURS, TRUE_LIGHT)
+METHODS: Final = (NO_SHADOW, HARMONICS, WARPED, OURS, TRUE_LIGHT)
 """ours: the session's light as the compositor takes it. no shadow: the object lit by ours,
 without its shadow. SH + directional: nine harmonics and the main light of
-warp-and-fill's panorama cut at white, as from pictures without HDR; of ours: of the session's panorama."""
+warp-and-fill's panorama cut at white, as from pictures without HDR."""
 
 _DISC_DEG: Final = 2.0
 """Radius of the directional light: more than a pixel's diagonal of 120 rows."""
@@ -55,15 +53,12 @@ def composites(scene: CompositeScene, session: Session) -> dict[str, Picture]:
     Args:
         session: Has seen the scene's frames.
     """
-    warped, mean = WarpAndFill(), MeanColour()
+    warped = WarpAndFill()
     for frame in scene.frames:
         warped.push(frame)
-        mean.push(frame)
 
     lights: dict[str, LightAt | None] = {
-        MEAN_COLOUR: mean.light_at,
         HARMONICS: lambda position: harmonics_and_directional(np.minimum(warped.light_at(position), 1)),
-        HARMONICS_OURS: lambda position: harmonics_and_directional(session.light_at(position).panorama),
         WARPED: warped.light_at,
         TRUE_LIGHT: lambda _: scene.true_light,
         OURS: None,

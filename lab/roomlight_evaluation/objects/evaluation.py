@@ -25,7 +25,7 @@ from roomlight.spheres import resize_panorama, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import beside_classical
 from roomlight_evaluation.captures.evaluation import capture_names, capture_room
-from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED, harmonics_and_directional
+from roomlight_evaluation.composites.methods import HARMONICS, WARPED, harmonics_and_directional
 from roomlight_evaluation.confidence import MeanWithInterval, evenly_spread, mean_with_interval, ratio_of_means
 from roomlight_evaluation.objects.lit_objects import LOOKS, MEASURES, SHADOW, LitObjects, unseen_look
 
@@ -196,7 +196,7 @@ def _score(
         fill = warped.light_at(position)
         observed = models[0].light(handles[0][number]).observed
         lights = {
-            MEAN_COLOUR: mean.light_at(position),
+            mean.name: mean.light_at(position),
             HARMONICS: harmonics_and_directional(np.minimum(fill, 1)),
             WARPED: fill,
         }

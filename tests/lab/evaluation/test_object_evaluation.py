@@ -12,7 +12,8 @@ from roomlight.conventions import panorama_directions
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError
 from roomlight.files import json_text
-from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED
+from roomlight_evaluation.baselines import MeanColour
+from roomlight_evaluation.composites.methods import HARMONICS, WARPED
 from roomlight_evaluation.objects.evaluation import COMPOSITED, TRUTH, _of_capture, evaluate_objects
 from roomlight_evaluation.objects.lit_objects import (
     BRIGHTNESS,
@@ -95,10 +96,10 @@ def scores(tmp_path_factory):
 
 
 def test_every_method_is_scored_in_every_room(scores):
-    assert scores.methods == (MEAN_COLOUR, HARMONICS, WARPED, "classical", f"classical, {COMPOSITED}")
+    assert scores.methods == (MeanColour.name, HARMONICS, WARPED, "classical", f"classical, {COMPOSITED}")
     assert [(room.room, room.probes, room.of_room) for room in scores.rooms] == [("a", 2, None), ("b", 2, "hall")]
     assert scores.ratio(HARMONICS, "diffuse").mean == scores.worst(HARMONICS, "diffuse") == 1
-    assert scores.ratio("classical", "mirror").mean < scores.ratio(MEAN_COLOUR, "mirror").mean
+    assert scores.ratio("classical", "mirror").mean < scores.ratio(MeanColour.name, "mirror").mean
 
 
 def test_as_many_frames_as_asked_are_shown_where_some_cannot_be_read(tmp_path):
@@ -119,7 +120,7 @@ def test_tables_and_json_show_every_method(scores):
     *errors, unseen = object_tables(scores)
     for table in errors:
         assert list(table.columns[0].cells) == list(scores.methods)
-    assert list(unseen.columns[0].cells) == [MEAN_COLOUR, HARMONICS, WARPED, "classical", TRUTH]
+    assert list(unseen.columns[0].cells) == [MeanColour.name, HARMONICS, WARPED, "classical", TRUTH]
     assert json.loads(json_text(scores.to_json()))[0]["errors"][HARMONICS].keys() == set(LOOKS)
 
 
