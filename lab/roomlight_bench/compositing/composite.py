@@ -24,7 +24,6 @@ from roomlight.conventions import linear_to_srgb, srgb8_to_linear
 from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.engine.session import Session, SessionOptions, warm_up
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
-from roomlight.errors import OptionError
 from roomlight.frame import Frame
 from roomlight_bench.compositing.report import CompositeReport, PartTimes, PresetTimes
 from roomlight_bench.reporting import describe_machine
@@ -93,13 +92,8 @@ def run_composite(
     """Time every preset and object; a minute on two idle cores, ten more with `final`.
 
     Args:
-        frames: Measured frames of a preview; the slower presets take fewer.
-
-    Raises:
-        OptionError: `frames` is less than 1.
+        frames: Measured frames of a preview, at least 1; the slower presets take fewer.
     """
-    if frames < 1:
-        raise OptionError(f"frames must be at least 1, got {frames}")
     report: ProgressCallback = progress or (lambda _: None)
     size = size or CompositeSize()
     report("compiling kernels")

@@ -61,10 +61,7 @@ def run_stages(
 
     Raises:
         ModelError: `model` is not a model folder.
-        OptionError: `repeats` is less than 1.
     """
-    if repeats < 1:
-        raise OptionError(f"repeats must be at least 1, got {repeats}")
     report: ProgressCallback = progress or (lambda _: None)
     size = size or RoomSize()
     report("compiling kernels")

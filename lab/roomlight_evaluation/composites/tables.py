@@ -49,17 +49,12 @@ def composite_tables(scores: CompositeScores) -> list[Table]:
     return [*tables, ratios, depth]
 
 
-def targets_met(scores: CompositeScores) -> dict[str, bool]:
-    """Return for object and shadow whether our linear RMSE is within the target."""
-    return {region: scores.ratio(OURS, region, "rmse").mean <= target for region, target in TARGETS.items()}
-
-
 def summary(scores: CompositeScores) -> list[str]:
     """Return sentences: each target with its ratio, and the gap to the true panorama."""
-    met = targets_met(scores)
+    ratios = {region: scores.ratio(OURS, region, "rmse") for region in TARGETS}
     lines = [
-        f"{region}: {mean_cell(scores.ratio(OURS, region, 'rmse'), 2)} of {HARMONICS}'s error, target {target}: "
-        + ("met" if met[region] else "missed")
+        f"{region}: {mean_cell(ratios[region], 2)} of {HARMONICS}'s error, target {target}: "
+        + ("met" if ratios[region].mean <= target else "missed")
         + f"; {mean_cell(scores.ratio(OURS, region, 'rmse', to=TRUE_LIGHT), 2)} of the true panorama's"
         for region, target in TARGETS.items()
     ]

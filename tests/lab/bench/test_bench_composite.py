@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-from roomlight.errors import OptionError
 from roomlight_bench.compositing.composite import PARTS, CompositeSize, objects, run_composite
 from roomlight_bench.compositing.report import PartTimes
 
@@ -29,8 +28,3 @@ def test_a_part_has_median_percentile_and_mean():
     part = PartTimes.of("light", [1.0, 2.0, 9.0], [0.0, 0.0, 3.0])
     assert (part.wall_median_ms, part.cpu_median_ms, part.cpu_mean_ms) == (2.0, 0.0, 1.0)
     assert part.wall_p95_ms == pytest.approx(8.3)
-
-
-def test_a_run_without_frames_is_refused():
-    with pytest.raises(OptionError, match="frames must be at least 1, got 0"):
-        run_composite(frames=0)

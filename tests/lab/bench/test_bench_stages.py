@@ -108,13 +108,11 @@ def test_frames_of_this_checkout_are_measured_by_the_program():
     assert set(measured) == {name for name in OWN_STAGES if "classical" in name and "volume" not in name}
 
 
-def test_other_folders_and_zero_repeats_are_refused(tmp_path):
+def test_other_folders_are_refused(tmp_path):
     with pytest.raises(ModelError, match=r"model\.json"):
         stages.run_stages(repeats=1, model=tmp_path, size=SIZE)
     with pytest.raises(OptionError, match="no checkout of RoomLight"):
         stages.run_against(tmp_path, rounds=1)
-    with pytest.raises(OptionError, match="repeats must be at least 1"):
-        stages.run_stages(repeats=0)
 
 
 def test_criteria_hold_and_fail_at_their_limits():
