@@ -129,8 +129,14 @@ class Probe:
         return None if self.forgotten else self._rendered()
 
     def _rendered(self) -> Rendered:
-        height = self.panorama.observed.shape[0]
-        return Rendered(*render_coarse_panorama(self.room.sglv, self.position, height=height, far=self.room.far))
+        """Ray trace the SGLV.
+
+        From a place outside, rays miss the volume: networks, which take all of a rendering as light, get that at the
+        nearest place in the volume.
+        """
+        room, height = self.room, self.panorama.observed.shape[0]
+        position = self.position if room.far == "none" else room.grid.nearest_inside(self.position)
+        return Rendered(*render_coarse_panorama(room.sglv, position, height=height, far=room.far))
 
     def view(self, mesh: FrameMesh) -> PartialPanorama:
         """Render what the probe sees of a frame's mesh: of completed depth, what lies before no measured surface."""

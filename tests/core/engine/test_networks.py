@@ -105,6 +105,14 @@ def test_the_video_engine_is_the_recursion_in_pytorch(tiny_video):
         np.testing.assert_allclose(light.observed, panorama.weight[0, 0].numpy(), atol=5e-3)
 
 
+def test_inferred_light_is_as_bright_at_a_point_outside_the_volume(tiny_video):
+    session = _after(FRAMES, Session(_options(tiny_video, "single")))
+    lights = session.lights_at([PROBE, (0.0, 1.2, 4.0), (0.0, 1.2, 30.0)])
+    brightest = [light.reflection.max(axis=-1)[light.observed == 0] for light in lights]
+    inside, *outside = (float(np.median(inferred)) for inferred in brightest)
+    assert min(outside) > inside
+
+
 @torch.inference_mode()
 def test_single_view_moves_half_way_to_the_mean_volumes_sglv(tiny_video):
     session = Session(_options(tiny_video, "single"))

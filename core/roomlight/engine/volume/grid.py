@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.camera import rigid_inverse
+from roomlight.camera import rigid_inverse, transform_points
+from roomlight.conventions import Position
 from roomlight.engine.kernels.volume_init import GridArrays, ViewArrays, initialise_slices
 from roomlight.errors import FrameError
 from roomlight.frame import Frame
@@ -94,6 +95,15 @@ class VolumeGrid:
         """Return how far a world position (metres) is from the nearest face, in units of D_max; below 0 outside."""
         local = self.world_to_volume[:3, :3] @ np.asarray(position_world) + self.world_to_volume[:3, 3]
         return float(min((local - self.lower_m).min(), (self.upper_m - local).min())) / self.depth_max_m
+
+    def nearest_inside(self, position_world: Position) -> Position:
+        """Return a world position (metres) if it is in the volume, else the nearest one a voxel from the faces."""
+        if self.contains(position_world):
+            return position_world
+        local = transform_points(self.world_to_volume, np.array(position_world, np.float64))
+        inside = np.clip(local, self.lower_m + self.edge_m, self.upper_m - self.edge_m)
+        x, y, z = transform_points(self.volume_to_world, inside).tolist()
+        return x, y, z
 
 
 def initial_volume(
