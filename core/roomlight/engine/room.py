@@ -2,7 +2,8 @@
 
 A camera that leaves the lighting volume is in another room: its frame begins a new volume, with its pose and depth,
 from what the keyframes show there. Of a room that was left stay its SGLV and a part of its keyframes (`RoomView`), for
-the points in it and for the way back.
+the points in it and for the way back. The volume of a close-up is replaced by that of the first frame that shows a room
+around it.
 """
 
 from collections.abc import Callable, Mapping, Sequence

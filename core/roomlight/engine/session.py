@@ -278,14 +278,17 @@ class Session:
     def _room_of(self, frame: Frame) -> Room:
         """Return the room that a frame is in: the present one while the camera is in its volume, else another or a new.
 
+        A new one with a larger volume takes the place of one that is too narrow.
+
         Raises:
             FrameError: The first frame has no depth.
         """
         camera = frame.camera_to_world[:3, 3]
         present = self._room
-        if present is not None and (present.grid.margin(camera) >= 0 or not frame.depth_m.any()):
+        stays = present is not None and present.grid.margin(camera) >= 0
+        if present is not None and (not frame.depth_m.any() or (stays and not present.grid.is_narrow(frame))):
             return present
-        back = None if present is None else room_at(camera, self._rooms)
+        back = None if present is None or stays else room_at(camera, self._rooms)
         if isinstance(back, RoomView) and back.grid.margin(camera) >= BACK_MARGIN:
             room = self._new_room(back.grid)
             room.take_over(back.meshes)
@@ -295,7 +298,7 @@ class Session:
             others = self._left
         if present is not None:
             room.take_over(present.meshes)
-            left = [*others, present.left()]
+            left = [*others] if stays else [*others, present.left()]
             if len(left) > MOST_LEFT:
                 del left[int(np.argmin([view.shown_m2() for view in left]))]
             self._left = tuple(left)

@@ -164,15 +164,27 @@ def _wall(index, depth_m, *, z=0.0, yaw=0.0, light=0.3):
 
 def test_a_wall_beyond_a_close_ups_volume_is_seen_again_from_the_rooms_own():
     frames = [
-        _wall(0, 0.4, yaw=180),
+        _wall(0, 1.6, yaw=180),
         _wall(1, 4.0),
         _wall(2, 3.0, z=-1),
         *(_wall(3 + n, 3, z=-1, light=0.9) for n in (0, 1)),
     ]
-    session = session_of(frames, probes=[(0.0, 0.0, -0.8)], height=16)
+    session = session_of(frames, probes=[(0.0, 0.0, -0.9)], height=16)
     assert session.rooms_left == 1
     state = session.panorama_state(0)
-    assert (state.radiance[8, 8, 0], state.depth_m[8, 8]) == pytest.approx((0.9, 3.2), rel=0.01)
+    assert (state.radiance[8, 8, 0], state.depth_m[8, 8]) == pytest.approx((0.9, 3.1), rel=0.01)
+
+
+@pytest.mark.parametrize(("far", "depth_max_m"), [(1.0, 4.0), (0.4, 0.5)], ids=["room", "view through a door"])
+def test_a_close_ups_volume_gives_way_to_the_rooms_own_though_the_camera_stays(far, depth_max_m):
+    turned = _wall(1, 4.0, yaw=90)
+    turned.depth_m[:, round(far * turned.depth_m.shape[1]) :] = 0.4
+    session = session_of([_wall(0, 0.4), turned], probes=[PROBE], height=16)
+    assert (present(session.grid).depth_max_m, session.rooms_left, session.keyframes) == (depth_max_m, 0, 2)
+    loaded = session_from(state_of(session))
+    for same in (session, loaded):
+        same.push(_wall(2, 4.0, yaw=180))
+    assert state_of(loaded) == state_of(session)
 
 
 def test_a_room_that_was_left_without_a_keyframe_has_light_without_coverage():

@@ -27,11 +27,13 @@ DEPTH_MAX_QUANTILE: Final = 0.995
 """D_max is this quantile of the known depth: one stray pixel must not enlarge the whole volume."""
 DEPTH_MAX_FLOOR_M: Final = 0.5
 """Least D_max: a session that begins with a hand before the lens gets a volume 1.1 m wide."""
+NARROW: Final = 2.5
+"""A volume is too narrow for a frame most of which is farther away than this, in units of D_max."""
 
 
 @dataclass(frozen=True)
 class VolumeGrid:
-    """Pose and size of the volume: fixed by the first frame in a room, constant while the camera is in it."""
+    """Pose and size of the volume: of the first frame in a room, until it is too narrow or the camera leaves it."""
 
     volume_to_world: Float[np.ndarray, "4 4"]
     depth_max_m: float
@@ -95,6 +97,14 @@ class VolumeGrid:
         """Return how far a world position (metres) is from the nearest face, in units of D_max; below 0 outside."""
         local = self.world_to_volume[:3, :3] @ np.asarray(position_world) + self.world_to_volume[:3, 3]
         return float(min((local - self.lower_m).min(), (self.upper_m - local).min())) / self.depth_max_m
+
+    def is_narrow(self, frame: Frame) -> bool:
+        """Return whether most of the frame's surfaces are far outside: the volume was that of a close-up.
+
+        A view through a door or a window, which fills less of the image, does not make the room's volume too narrow.
+        """
+        far = np.count_nonzero(frame.depth_m > NARROW * self.depth_max_m)
+        return bool(2 * far > np.count_nonzero(frame.depth_m))
 
     def nearest_inside(self, position_world: Position) -> Position:
         """Return a world position (metres) if it is in the volume, else the nearest one a voxel from the faces."""
