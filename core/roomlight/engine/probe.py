@@ -63,14 +63,15 @@ class Probe:
     def of_keyframes(cls, positions: Sequence[Position], room: AnyRoom, *, height: int) -> "Iterator[Probe]":
         """Yield probes that know what the keyframes and the last frame show.
 
-        Each direction shows the first frame that sees it, or a later one whose surface is closer. The model then
-        estimates the light once, as if one frame had shown all of it. The SGLVs of those moments are gone; the
-        present one has observed more. All probes share what `distinct` leaves of the meshes; some at a time are
-        computed on all cores.
+        Each direction shows the first frame that sees it, or a later one whose surface is closer; what later frames
+        contradict comes last. The model then estimates the light once, as if one frame had shown all of it. The SGLVs
+        of those moments are gone; the present one has observed more. All probes share what `distinct` leaves of the
+        meshes; some at a time are computed on all cores.
         """
-        meshes = distinct([mesh for _, mesh in room.meshes])
+        shown = sorted((mesh for _, mesh in room.meshes), key=lambda mesh: mesh.contradicted)
+        meshes = distinct(shown)
         groups = [meshes[n * len(meshes) // _GROUPS : (n + 1) * len(meshes) // _GROUPS] for n in range(_GROUPS)]
-        cameras = np.array([mesh.camera_to_world[:3, 3] for _, mesh in room.meshes]).reshape(-1, 3)
+        cameras = np.array([mesh.camera_to_world[:3, 3] for mesh in shown]).reshape(-1, 3)
         at_once = max(1, min(4 * thread_count(), _PIXELS_AT_ONCE // (2 * height**2)))
         for start in range(0, len(positions), at_once):
             probes = [cls.fresh(position, room, height=height) for position in positions[start : start + at_once]]

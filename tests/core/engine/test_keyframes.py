@@ -110,8 +110,8 @@ BLOCKED = BoxRoom(block=((-0.4, 0.0, -0.9), (0.3, 1.9, -0.5)))
 """Somebody stands before the camera."""
 
 
-def _look(room=ROOM, index=0, position=(0.0, 1.5, 1.0), light=1.0):
-    frame = room.frame(camera_at(position), index=index, **SIZE)
+def _look(room=ROOM, index=0, position=(0.0, 1.5, 1.0), light=1.0, yaw=0.0):
+    frame = room.frame(camera_at(position, yaw), index=index, **SIZE)
     return replace(frame, image=np.float32(light) * frame.image)
 
 
@@ -158,3 +158,22 @@ def test_somebody_who_walks_along_in_view_does_not_cost_the_room():
         frames.append([room.frame(pose, index=index, **SIZE) for room in (ROOM, person)])
     alone, beside = (session_of(each, height=32).light_at((0.0, 1.2, 0.0)) for each in zip(*frames, strict=True))
     assert beside.coverage > 0.85 * alone.coverage
+
+
+@pytest.mark.parametrize("yaws", [(20, 20, 20), range(8, 56, 8)], ids=["still", "pan"])
+def test_what_later_frames_contradict_comes_last_also_after_loading(yaws):
+    bright = [_look(index=n, yaw=yaw) for n, yaw in enumerate(yaws, 1)]
+    session = session_of([_look(light=0.2), *bright], height=32)
+    assert session.meshes[0][0] == 0  # no other one shows what is at its right
+    sessions = session, session_from(state_of(session)), session_of(bright, height=32)
+    light, loaded, alone = (each.light_at((0.0, 1.5, 1.0)) for each in sessions)
+    seen = alone.observed == 1
+    np.testing.assert_allclose(light.reflection[seen], alone.reflection[seen], rtol=0.02)
+    np.testing.assert_array_equal(loaded.reflection, light.reflection)
+
+
+def test_a_keyframe_with_a_hand_before_the_lens_is_dropped():
+    hand = _look()
+    hand.depth_m[:, 4:-4] = 0.45
+    session = session_of([hand, *(_look(index=n, position=(0.0, 1.5, 1.1)) for n in (1, 2))])
+    assert [index for index, _ in session.meshes] == [1, 2]

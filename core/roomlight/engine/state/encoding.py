@@ -69,6 +69,8 @@ class _Kept(_Values):
     """None: the base is elsewhere."""
     gain: tuple[float, float, float] | None
     """Of red, green and blue against the image as it was pushed."""
+    contradicted: bool = False
+    """By later frames; earlier states lack it."""
 
 
 class _Session(_Values):
@@ -149,6 +151,7 @@ class SavedSession:
             base = base_of(frame.base, arrays)
             base.gain = frame.gain
         mesh = changed(base, arrays, frame.checksum, source)
+        mesh.contradicted = frame.contradicted
         return KeptFrame(frame.index, mesh, mesh.texture)
 
     def _probe(self, probe: _Probe) -> ProbeSnapshot:
@@ -194,6 +197,7 @@ def _values_of(snapshot: SessionSnapshot, elsewhere: Collection[int]) -> _Sessio
                 checksum=frame.texture.checksum,
                 base=None if frame.index in elsewhere else base_values(frame.mesh),
                 gain=frame.mesh.gain,
+                contradicted=frame.mesh.contradicted,
             )
             for frame in snapshot.kept
         ],

@@ -36,19 +36,34 @@ class _Pixels(NamedTuple):
 
 def contradicts(mesh: FrameMesh, keyframe: FrameMesh) -> bool:
     """Return whether a frame contradicts a keyframe."""
-    every = np.s_[_EVERY // 2 :: _EVERY, _EVERY // 2 :: _EVERY]
-    measured = keyframe.measured[every]
-    inside, xy, z = mesh.find(keyframe.vertices_at(every)[measured.reshape(-1)])
-    column, row = xy.astype(int).T
-    rows, columns = (_EVERY * axis[inside] + _EVERY // 2 for axis in np.nonzero(measured))
-    own, theirs = _Pixels(mesh, row, column), _Pixels(keyframe, rows, columns)
+    own, theirs, z = _in_view(mesh, keyframe, _EVERY)
+    least = CONTRADICTED * keyframe.measured[_EVERY // 2 :: _EVERY, _EVERY // 2 :: _EVERY].size
     for around in (_PIXEL, _AROUND):  # few pixels are left for the second one
-        if len(z) <= CONTRADICTED * measured.size:
+        if len(z) <= least:
             return False
         changed = _sees_through(own, theirs, z, around) | _shows_other_light(own, theirs, z, around)
         own, theirs = (_Pixels(at.mesh, at.row[changed], at.column[changed]) for at in (own, theirs))
         z = z[changed]
-    return len(z) > CONTRADICTED * measured.size
+    return len(z) > least
+
+
+def not_seen_through(mesh: FrameMesh, keyframe: FrameMesh) -> Float[np.ndarray, "v 3"]:
+    """Return those vertices of a keyframe, world metres, that a frame does not see through."""
+    own, theirs, z = _in_view(mesh, keyframe, 1)
+    through = _sees_through(own, theirs, z, _PIXEL)
+    stays = keyframe.grid_depth_m > 0
+    stays[theirs.row[through], theirs.column[through]] = False
+    return keyframe.vertices_at(np.s_[:, :])[stays.reshape(-1)]
+
+
+def _in_view(mesh: FrameMesh, keyframe: FrameMesh, step: int) -> tuple[_Pixels, _Pixels, Float[np.ndarray, " n"]]:
+    """Return where a frame shows every n-th measured vertex of a keyframe: its pixels, theirs, their z-depth in it."""
+    every = np.s_[step // 2 :: step, step // 2 :: step]
+    measured = keyframe.measured[every]
+    inside, xy, z = mesh.find(keyframe.vertices_at(every)[measured.reshape(-1)])
+    column, row = xy.astype(int).T
+    rows, columns = (step * axis[inside] + step // 2 for axis in np.nonzero(measured))
+    return _Pixels(mesh, row, column), _Pixels(keyframe, rows, columns), z
 
 
 def _sees_through(

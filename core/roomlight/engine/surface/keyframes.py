@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
-from roomlight.engine.surface.change import contradicts
+from roomlight.engine.surface.change import contradicts, not_seen_through
 from roomlight.engine.surface.mesh import FrameMesh, most_alike
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.errors import OptionError
@@ -21,11 +21,12 @@ DEFAULT_KEYFRAMES: Final = 24
 cover two pans around a room at 58 degrees of view."""
 MIN_NEW_SHARE: Final = 0.04
 """A frame is kept if at least this share of its cells is in no keyframe yet: 4 % is a pan of about 2.5 degrees."""
-_COMPARED: Final = 3
-"""Keyframes that frames are compared with in turn: those with the most similar heading."""
+_COMPARED: Final = 5
+"""Keyframes that frames are compared with in turn, in order of time: those with the most similar heading. In the order
+of their similarity a pan, whose every frame becomes a keyframe, would come to every fifth one only."""
 _MOST_LOST: Final = 0.1
-"""A keyframe can be dropped if this share of its cells, at most, is then in no keyframe and not in the frame: a pan
-with a person who walks along would lose the room."""
+"""A keyframe can be dropped if this share of its cells, at most, is then in no keyframe and not in the frame, apart
+from cells of what the frame sees through: a pan with a person who walks along would lose the room."""
 _CELL: Final = 2
 
 
@@ -89,20 +90,23 @@ class KeyframeStore:
         return True
 
     def drop_contradicted(self, mesh: FrameMesh, *, turn: int) -> None:
-        """Drop a keyframe that this frame and the one before it contradict, if they show nearly all of it.
+        """Drop a keyframe that this frame and the one before it contradict, or mark it if it shows much else.
 
         Each turn compares another one of the keyframes most alike.
         """
         if not self._keyframes:
             return
-        alike = most_alike(mesh.camera_to_world, [key.mesh for key in self._keyframes], _COMPARED)
+        alike = sorted(most_alike(mesh.camera_to_world, [key.mesh for key in self._keyframes], _COMPARED))
         number = alike[turn % len(alike)]
         keyframe, last = self._keyframes[number], self.with_last()[-1]
         if contradicts(mesh, keyframe.mesh) and contradicts(last.mesh, keyframe.mesh):
-            lost = keyframe.cells & (self._counts == 1) & ~self.cells_of(mesh)
+            there = self._cells_of(not_seen_through(mesh, keyframe.mesh))
+            lost = there & (self._counts == 1) & ~self.cells_of(mesh)
             if lost.sum() <= _MOST_LOST * keyframe.cells.sum():
                 self._counts -= keyframe.cells
                 del self._keyframes[number]
+            else:
+                keyframe.mesh.contradicted = True
 
     def thinned(self, count: int) -> list[Keyframe]:
         """Return at most `count` keyframes in order of time, without those that have the fewest cells of their own."""
@@ -138,8 +142,11 @@ class KeyframeStore:
 
     def cells_of(self, mesh: FrameMesh) -> Bool[np.ndarray, " cells"]:
         """Return which cells of the volume the mesh covers."""
+        return self._cells_of(mesh.vertices[mesh.known])
+
+    def _cells_of(self, vertices: Float[np.ndarray, "v 3"]) -> Bool[np.ndarray, " cells"]:
         grid = self._grid
-        local = mesh.vertices[mesh.known] @ grid.world_to_volume[:3, :3].T + grid.world_to_volume[:3, 3]
+        local = vertices @ grid.world_to_volume[:3, :3].T + grid.world_to_volume[:3, 3]
         shape = [-(-n // _CELL) for n in grid.shape]
         # Vertices outside count in the nearest cell: a session that begins with a close-up has a small volume, and
         # keyframes of the room around it must still be kept.

@@ -146,6 +146,7 @@ class FrameMesh:
         self.grid_depth_m = grid.depth_m
         self.measured = grid.measured  # [gh, gw]; elsewhere depth is completed
         self.gain: tuple[float, float, float] | None = None  # of the texture against the image as pushed
+        self.contradicted = False  # by later frames, as a keyframe that shows what no other one does
         self._made: _Triangles | None = None
 
     def prepare(self) -> None:
