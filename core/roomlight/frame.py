@@ -29,6 +29,8 @@ MAX_POSITION_M: Final = 10_000.0
 capture is so large."""
 MAX_RADIANCE: Final = 1e12
 """Brightest pixel: white is 1 and the sun a million; from about 1e19 up its square overflows float32."""
+BLACK: Final = 0.002
+"""A frame is black if no part of it is brighter in the mean, of 32 x 24 parts. A dark room is at 0.003 and more."""
 ASPECT_TOLERANCE: Final = 0.03
 """Largest relative difference between the aspect ratios of depth and image."""
 
@@ -163,6 +165,12 @@ class Frame:
     def recorded(self) -> Float32[np.ndarray, "h w 3"]:
         """The image in its own exposure, linear: 1 is white in the recording."""
         return self.image if self.exposure == 1.0 else self.image * np.float32(self.exposure)
+
+    @property
+    def is_black(self) -> bool:
+        """Whether the image shows nothing, as the first ones of cameras that start, and of films that fade in."""
+        parts = cv2.resize(self.image, (32, 24), interpolation=cv2.INTER_AREA)
+        return float(parts.max()) * max(1.0, self.exposure) <= BLACK
 
     def scaled(self, factor: float) -> "Frame":
         """Return the frame with depth and the camera's place in another unit: `factor` of it are the present one."""

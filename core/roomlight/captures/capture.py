@@ -334,6 +334,8 @@ class Capture:
                 at.last = index
                 try:
                     frame = self._frame(index, read)
+                    if at.good == 0 and frame.is_black:
+                        raise FrameError(f"{frame.source}: its image is black, as cameras begin and films fade in")
                 except FrameError as error:
                     skipped.append(SkippedFrame(index, self._reader.name_of(index), str(error)))
                     continue

@@ -36,9 +36,14 @@ def restored(
 
 
 def at_working_size(frame: Frame, unknown_depth: UnknownDepth) -> tuple[Frame, Float[np.ndarray, "dh dw"]]:
-    """Return the frame reduced to `WORKING_SIZE`, and its depth, completed if the rule for unknown depth says so."""
+    """Return the frame reduced to `WORKING_SIZE`, and its depth, completed if the rule for unknown depth says so.
+
+    Of a black frame nothing was seen.
+    """
     measured = frame.resized(*WORKING_SIZE)
     if measured.image is frame.image:  # the caller may write into its arrays again
         measured = replace(measured, image=frame.image.copy(), clipped=frame.clipped.copy())
+    if measured.is_black:
+        measured = replace(measured, seen=np.zeros(measured.clipped.shape, bool))
     depth_m = complete_depth(measured.depth_m) if unknown_depth == "rim" else measured.depth_m
     return measured, without_unseen(depth_m, measured.seen)

@@ -237,7 +237,8 @@ class Session:
             room = self._room_of(prepared)
         with clock.stage("volume"):
             # after completion ("rim") only pixels that the frame's mask leaves out are without depth
-            far = options.unknown_depth == "far" or (options.unknown_depth == "rim" and prepared.seen is None)
+            seen, unknown = prepared.seen, options.unknown_depth
+            far = unknown != "drop" if seen is None else unknown == "far" and bool(seen.any())
             clipping = room.write_volume(prepared, far_unknown=far)
         with clock.stage("sglv"):
             room.volume.update(clipping)
@@ -281,7 +282,7 @@ class Session:
         A new one with a larger volume takes the place of one that is too narrow.
 
         Raises:
-            FrameError: The first frame has no depth.
+            FrameError: The first frame has no depth, or is black.
         """
         camera = frame.camera_to_world[:3, 3]
         present = self._room

@@ -117,11 +117,14 @@ class DepthStream:
         """Return the frame with estimated depth; one that has depth is returned as it is.
 
         Raises:
-            FrameError: The model knows depth only up to scale, and nothing in the stream has fixed the scale yet.
+            FrameError: The frame is black, or the model knows depth only up to scale, and nothing in the stream has
+                fixed the scale yet.
             ModelError: The model's answer is no depth.
         """
         if frame.depth_m.any():
             return frame
+        if frame.is_black:
+            raise FrameError(f"{frame.source or f'frame {frame.index}'}: its image is black, and has no depth")
         return replace(frame, depth_m=self.estimate(frame), depth_estimated=True)
 
     def estimate(self, frame: Frame) -> Float32[np.ndarray, "h w"]:

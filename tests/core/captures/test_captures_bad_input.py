@@ -51,6 +51,12 @@ def test_an_invalid_pose_skips_the_frame(transforms: Path, matrix: object, says:
     one_skipped(transforms, 1, says)
 
 
+def test_black_pictures_at_the_start_are_skipped(transforms: Path) -> None:
+    picture = json.loads((transforms / "transforms.json").read_bytes())["frames"][0]["file_path"]
+    cv2.imwrite(str(transforms / picture), np.zeros_like(SRGB))
+    one_skipped(transforms, 0, "its image is black")
+
+
 @pytest.mark.parametrize(
     ("kind", "name"), [("tum", "rgb.txt"), ("arkitscenes", "lowres_wide.traj"), ("rtabmap", "room_camera_poses.txt")]
 )

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from present import present
 from roomlight.conventions import panorama_directions
 from roomlight.engine import probe as probe_module
 from roomlight.engine import session as session_module
@@ -209,12 +210,14 @@ def test_a_session_keeps_no_array_of_the_caller(pan_frames):
     np.testing.assert_array_equal(session.light_at(PROBES[0]).reflection, light)
 
 
-def test_a_first_frame_without_depth_changes_nothing(pan_frames):
-    blind = dataclasses.replace(pan_frames[0], depth_m=np.zeros_like(pan_frames[0].depth_m))
+@pytest.mark.parametrize(
+    ("part", "says"), [("depth_m", "no pixel has a depth"), ("image", "its image is black")], ids=["blind", "black"]
+)
+def test_a_first_frame_without_depth_or_light_changes_nothing(pan_frames, part, says):
     session = Session(CLASSICAL)
     handle = session.track(PROBES[0])
-    with pytest.raises(FrameError, match="room frame 0: no pixel has a depth"):
-        session.push(blind)
+    with pytest.raises(FrameError, match=f"room frame 0: {says}"):
+        session.push(_without(pan_frames[0], part))
     assert session.frames == 0
     assert session.grid is None
     assert session.sglv is None
@@ -225,13 +228,27 @@ def test_a_first_frame_without_depth_changes_nothing(pan_frames):
     assert (session.light(handle).panorama == clean.light(0).panorama).all()
 
 
-def test_a_later_frame_without_depth_changes_no_coverage(pan_frames):
-    blind = dataclasses.replace(pan_frames[3], depth_m=np.zeros_like(pan_frames[3].depth_m))
-    session, reports = _run([*pan_frames[:3], blind], probes=PROBES[:1])
-    clean, _ = _run(pan_frames[:3], probes=PROBES[:1])
+def _without(frame, part):
+    return dataclasses.replace(frame, **{part: np.zeros_like(getattr(frame, part))})
+
+
+@pytest.mark.parametrize("unknown_depth", ["rim", "far", "drop"])
+@pytest.mark.parametrize("part", ["depth_m", "image"])
+def test_a_later_frame_without_depth_or_light_changes_no_coverage(pan_frames, part, unknown_depth):
+    options = dataclasses.replace(CLASSICAL, unknown_depth=unknown_depth)
+    session, reports = _run([*pan_frames[:3], _without(pan_frames[3], part)], probes=PROBES[:1], options=options)
+    clean, _ = _run(pan_frames[:3], probes=PROBES[:1], options=options)
     seen = clean.light(0).observed == 1
     np.testing.assert_array_equal(session.light(0).panorama[seen], clean.light(0).panorama[seen])
     assert not reports[-1].keyframe
+    if part == "image":
+        np.testing.assert_array_equal(present(session.sglv).lobes, present(clean.sglv).lobes)
+
+
+def test_a_dark_room_is_no_black_frame(pan_frames):
+    dark = [dataclasses.replace(frame, image=np.float32(0.008) * frame.image) for frame in pan_frames[:3]]
+    (darkened, _), (bright, _) = (_run(frames, probes=PROBES[:1]) for frames in (dark, pan_frames[:3]))
+    assert darkened.light(0).coverage == bright.light(0).coverage
 
 
 @pytest.mark.parametrize("position", [(np.nan, 0.0, 0.0), (0.0, -np.inf, 0.0), (0.0, 0.0, 2e4)])

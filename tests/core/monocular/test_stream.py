@@ -8,6 +8,7 @@ import pytest
 from box_room import LENS, exact_depth, frame, pose
 from depth_models import StatedDepth
 from roomlight.engine.networks.graphs import SHIPPED
+from roomlight.errors import FrameError
 from roomlight.monocular.estimate import DepthKind
 from roomlight.monocular.fitting import Fit, error_field, fit_inverse
 from roomlight.monocular.network import DepthNetworkModel, shipped_depth
@@ -93,6 +94,14 @@ def test_a_trained_networks_folder_is_a_model() -> None:
 def test_a_frame_with_depth_is_returned_as_it_is() -> None:
     given = frame(0, POSES[0], depth=True)
     assert DepthStream(StatedDepth("metric", lambda _: np.ones((4, 4)))).complete(given) is given
+
+
+def test_a_black_frame_is_refused_and_leaves_no_trace() -> None:
+    stream = DepthStream(StatedDepth("metric", lambda _: np.ones((4, 4))))
+    given = frame(0, POSES[0])
+    with pytest.raises(FrameError, match="its image is black"):
+        stream.complete(replace(given, image=np.zeros_like(given.image)))
+    assert stream.state.last is None
 
 
 def test_features_are_triangulated_where_there_is_parallax() -> None:

@@ -44,13 +44,15 @@ class VolumeGrid:
         """Make the volume of a session that begins with this frame.
 
         Raises:
-            FrameError: no depth is known.
+            FrameError: no depth is known, or nothing is seen.
         """
         known = frame.depth_m[frame.depth_m > 0]
         if known.size == 0:
+            nothing = frame.seen is not None and not frame.seen.any()
+            reason = "its image is black, or masked" if nothing else "no pixel has a depth"
             raise FrameError(
-                f"{frame.source or f'frame {frame.index}'}: no pixel has a depth, so the size of the volume is "
-                "unknown; begin with a frame whose depth is known"
+                f"{frame.source or f'frame {frame.index}'}: {reason}, so the size of the volume is unknown; begin with "
+                "a frame that shows something, and whose depth is known"
             )
         depth_max_m = max(DEPTH_MAX_FLOOR_M, float(np.quantile(known, DEPTH_MAX_QUANTILE)))
         return cls(frame.camera_to_world, depth_max_m, shape)
