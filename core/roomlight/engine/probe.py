@@ -123,7 +123,8 @@ class Probe:
         before_m, depth_m = self.room.grid.depth_max_m, self.panorama.depth_m
         if before_m != room.grid.depth_max_m:
             depth_m[depth_m >= farthest_depth_m(before_m) - CLOSER_M] = unseen_depth_m(room.grid.depth_max_m)
-        return replace(self, room=room, forgotten=not room.grid.contains(self.position))
+        forgotten = self.forgotten or self.room.grid.contains(self.position)
+        return replace(self, room=room, forgotten=forgotten and not room.grid.contains(self.position))
 
     def render(self) -> Rendered | None:
         """Ray trace the SGLV after the last frame; None for a place whose room is forgotten."""

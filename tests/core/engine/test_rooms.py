@@ -148,6 +148,13 @@ def test_a_room_is_remembered_though_a_lowered_phone_passed_floors_since():
     assert session.light_at(PROBE).coverage > 0
 
 
+def test_a_place_that_lay_in_no_volume_is_not_forgotten_when_the_camera_goes_to_another_room():
+    below = (0.3, -30.0, 0.2)
+    session = session_of([_far(0, 0), _far(1, 1)], probes=[below], height=HEIGHT)
+    (probe,) = session.snapshot().probes
+    assert not probe.forgotten
+
+
 def test_a_frame_without_depth_begins_no_room():
     blind = replace(_far(1, 1), depth_m=np.zeros((120, 160), np.float32))
     session = session_of([_far(0, 0), blind], height=HEIGHT)
