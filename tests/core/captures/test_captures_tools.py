@@ -304,9 +304,9 @@ def workspace(path: Path) -> Path:
     dense = own_depth_maps(formats.colmap(path / "dense/0", VIEWS))
     for name in ("cameras.bin", "images.bin"):
         (dense / "sparse/0" / name).rename(dense / "sparse" / name)
-    black = formats.image(".png", np.zeros((formats.HEIGHT, formats.WIDTH, 3), np.uint8))
+    grey = formats.image(".png", np.full((formats.HEIGHT, formats.WIDTH, 3), 128, np.uint8))
     for picture in (path / "images").iterdir():
-        picture.write_bytes(black)
+        picture.write_bytes(grey)
     return path
 
 
