@@ -66,7 +66,7 @@ def test_a_content_length_of_any_digits_is_refused(server, errors, digits):
 def heic(tmp_path, *, primary):
     """Return a HEIC file, or one whose primary image does not exist."""
     heif = pytest.importorskip("pillow_heif")
-    file = heif.from_bytes(mode="RGB", size=(48, 36), data=bytes(48 * 36 * 3))
+    file = heif.from_bytes(mode="RGB", size=(48, 36), data=b"\x80" * (48 * 36 * 3))
     path = tmp_path / "image.heic"
     file.save(path, quality=50)
     data = bytearray(path.read_bytes())
