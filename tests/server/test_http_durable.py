@@ -11,7 +11,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from http_servers import OTHER, SMALL, TOKEN, HeldSession, InThread, RunningServer, frame, server_on, wait_until
+from http_servers import OTHER, SMALL, TOKEN, Held, HeldSession, InThread, RunningServer, frame, server_on, wait_until
 from roomlight.engine.state.records import FORMAT
 from roomlight.errors import OutputError, ServerError
 from roomlight.wire.frame_message import parse
@@ -278,6 +278,26 @@ def test_an_error_of_saving_is_stated_and_does_not_end_it(tmp_path, monkeypatch,
         broken.clear()
         wait_until_saved(server, 0)
         assert server.call("GET", "/readyz").json["state"] == "saved"
+
+
+def test_frames_do_not_wait_for_the_disk(tmp_path, monkeypatch):
+    """A copy of their session waited behind the writes of two others, and they for the copy."""
+    slow = []
+    write = Held(store.write_session, lambda *_: slow)
+    monkeypatch.setattr(store, "write_session", write)
+    with server_on(tmp_path / "state") as server:
+        for name in ("first", "second", "room"):
+            server.open(name)
+        server.wait_until(lambda: _unsaved_s(server) == 0)
+        slow.append(True)
+        for name in ("first", "second"):
+            server.push(0, name=name)
+            write.wait_entered()
+        server.push(0)
+        server.wait_until(lambda: ("anyone", "room") in server.app.state.context.states._saving)
+        assert server.push(1).json["status"] == "processed"
+        slow.clear()
+        write.release(3)
 
 
 @pytest.mark.slow

@@ -89,6 +89,7 @@ class StateStore:
         self._period_s = settings.state_interval_s / SAVES_PER_INTERVAL
         self._tick_s = min(0.25, self._period_s / 4)
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="state")
+        self._copy_pool = ThreadPoolExecutor(1, thread_name_prefix="copy")  # not behind the disk: frames wait for it
         self._locks: WeakValueDictionary[tuple[str, str], asyncio.Lock] = WeakValueDictionary()
         self._saving: dict[tuple[str, str], asyncio.Task[None]] = {}
         self._next_expiry_s = clock()
@@ -151,7 +152,7 @@ class StateStore:
             self._record_failure(error, live.name)
 
     async def _save(self, key: tuple[str, str], live: Saveable, journal: Journal) -> None:
-        state = await live.copy_state(self._pool, digest_of_owner(key[0]))
+        state = await live.copy_state(self._copy_pool, digest_of_owner(key[0]))
         if state is None:  # it has ended: nothing can be saved any more
             journal.closed = True
             return
@@ -200,7 +201,8 @@ class StateStore:
                 _log.error("%d sessions were not saved: %s", unsaved, self.failing or "no time was left")
         for (owner, _), live in sessions():
             self.left_memory(owner, live)
-        await asyncio.to_thread(self._pool.shutdown, wait=True, cancel_futures=True)
+        for pool in (self._copy_pool, self._pool):
+            await asyncio.to_thread(pool.shutdown, wait=True, cancel_futures=True)
         await asyncio.to_thread(self._fence_pool.shutdown, wait=True)
         os.close(self._lock_file)
 
