@@ -246,6 +246,25 @@ def test_a_final_composite_is_killed_when_its_client_is_gone(server, caplog):
     assert server.call("POST", COMPOSITE, {"objects": [BALL], "quality": "final"}).status == 200  # another process
 
 
+def test_an_object_holds_up_no_frame_and_is_ended_when_its_client_is_gone(caplog):
+    """Two large files stopped the frames of all for 20 s, also when their clients had left."""
+    caplog.set_level(logging.INFO, "roomlight.server")
+    with RunningServer(decode_threads=1) as server:
+        server.open()
+        workers = server.app.state.context.workers
+        share = workers._object_share
+        workers.decode_processes.start(1)
+        (pid,) = workers.decode_processes.pids
+        os.kill(pid, signal.SIGSTOP)
+        connection = post(server, "no object", "/v1/objects?kind=obj")
+        server.wait_until(lambda: share._running)
+        assert server.push(0).json["status"] == "processed"
+        connection.close()
+        server.wait_until(lambda: has_ended(pid) and not share._running)
+        killed = [vars(record)["reason"] for record in caplog.records if record.message == "decoding process killed"]
+        assert killed == ["its client has left"]  # and not a second one, for another attempt
+
+
 @pytest.mark.slow
 def test_a_composite_beyond_the_memory_of_its_process_is_refused(server):
     """It ran on a thread of the server, where only an estimate bounded its memory."""

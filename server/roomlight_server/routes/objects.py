@@ -67,10 +67,8 @@ async def upload_object(
         pass  # a new one
     if kind is None and request.headers.get("content-type", "").partition(";")[0].strip() == "model/obj":
         kind = "obj"
-    workers = context.workers
     try:
-        decoding = workers.run_in_decode_pool(workers.decode_processes.decode_object, body, kind)
-        decoded = await until_gone(request, decoding)
+        decoded = await until_gone(request, context.workers.decode_object(body, kind))
     except WireError as error:
         context.metrics.objects_refused.inc()
         raise ProblemError.from_wire(error) from error

@@ -10,7 +10,7 @@ from roomlight.wire.frame_message import FrameMessage, bad_frame
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.work.decode_worker import unpack_frame
 from roomlight_server.work.object_packing import unpack_object
-from roomlight_server.work.processes import KilledError, Processes
+from roomlight_server.work.processes import Cancellation, KilledError, Processes
 
 
 class DecodeProcesses(Processes):
@@ -40,8 +40,8 @@ class DecodeProcesses(Processes):
             value = f"{len(body)} bytes, {message.header.colour.encoding}"
             raise bad_frame("colour", value, str(error)) from error
 
-    def decode_object(self, body: bytes, kind: str | None) -> VirtualObject:
-        """Decode the file of an object.
+    def decode_object(self, body: bytes, kind: str | None, cancel: Cancellation | None = None) -> VirtualObject:
+        """Decode the file of an object; `cancel` ends it.
 
         Raises:
             WireError: The file is refused, takes too long or ends the decoder; of the kind bad-object.
@@ -49,6 +49,6 @@ class DecodeProcesses(Processes):
         """
         arguments = {"work": "object", "kind": kind, "limits": asdict(self._object_limits)}
         try:
-            return self._request(arguments, body, self._object_timeout_s, unpack_object)
+            return self._request(arguments, body, self._object_timeout_s, unpack_object, cancel=cancel)
         except (KilledError, ObjectError) as error:
             raise WireError("bad-object", field="body", value="", rule=str(error)) from error

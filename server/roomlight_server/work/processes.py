@@ -289,7 +289,7 @@ class Processes:
                 if cancel is not None:
                     cancel.watch(None)
                     if cancel.asked:
-                        rule, level = "its client has left", logging.INFO
+                        rule, level, last = "its client has left", logging.INFO, True
                 self._replace(process)
                 fields = {"work": arguments["work"], "bytes": len(body), "reason": rule}
                 _log.log(level, f"{self._name} process killed", extra=fields)

@@ -1,4 +1,4 @@
-"""Thread pools of a server: for the engine, for composites, for decoding, for encoding. The event loop awaits them.
+"""Thread pools of a server: for the engine, composites, decoding, objects, encoding. The event loop awaits them.
 
 The threads of each pool are shared by time between owners and sessions (`fair_share`). A session waits for an engine
 thread before it chooses its frame, so that it chooses the newest one as late as possible.
@@ -15,6 +15,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Final, ParamSpec, TypeVar
 
+from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.engine.memory import release_free_memory
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs, part_folder
@@ -55,6 +56,7 @@ class Workers:
 
         self._engine = pool("engine", settings.engine_threads + MAX_PAUSED)  # a paused job keeps its thread
         self._decode = pool("decode", settings.decode_threads)
+        self._object = pool("object", settings.decode_threads)
         self._encode = pool("encode", settings.encode_threads)
         self._composite = pool("composite", 2 * settings.composite_threads)
 
@@ -68,6 +70,7 @@ class Workers:
         several = settings.several_owners
         self._engine_share = share("engine", settings.engine_threads)
         self._decode_share = share("decode", settings.decode_threads, _all_but_last(settings.decode_threads, several))
+        self._object_share = share("object", settings.decode_threads, max(1, settings.decode_threads - 1))
         self._encode_share = share("encode", settings.encode_threads, _all_but_last(settings.encode_threads, several))
         self._preview_share = share("preview", settings.composite_threads)
         self._composite_share = share("composite", settings.composite_threads)
@@ -113,7 +116,7 @@ class Workers:
         self.decode_processes.stop()
         self.composite_processes.stop()
         deadline_s = time.monotonic() + STOP_S
-        for pool in (self._engine, self._composite, self._decode, self._encode):
+        for pool in (self._engine, self._composite, self._decode, self._object, self._encode):
             pool.shutdown(wait=False, cancel_futures=True)
         for thread in self._threads:
             thread.join(max(0.0, deadline_s - time.monotonic()))
@@ -197,6 +200,16 @@ class Workers:
         """Wait for a decoding thread and run on it."""
         async with self._decode_share.slot():
             return await self._run_to_end(self._decode, lambda: work(*args, **kwargs))
+
+    async def decode_object(self, body: bytes, kind: str | None) -> VirtualObject:
+        """Wait for a process and decode the file of an object. If the caller is cancelled, the process is killed.
+
+        Raises: as `DecodeProcesses.decode_object`.
+        """
+        cancel = Cancellation()
+        run = partial(self.decode_processes.decode_object, body, kind, cancel)
+        async with self._object_share.slot():
+            return await self._run_to_end(self._object, run, cancelled=cancel)
 
     async def run_in_encode_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Wait for an encoding thread and run on it."""
