@@ -82,20 +82,37 @@ async def test_the_owner_with_the_least_time_is_served(clock):
 async def test_a_lower_order_comes_first_until_the_others_lose_patience(clock):
     jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
     await jobs.add("final0", 1.0, gate=gate, order=1)
-    await jobs.add("final1", 1.0, order=1, owner="c")
+    await jobs.add("final1", 1.0, order=1, session="t")
     for number in range(3):
-        await jobs.add(f"preview{number}", 9.5, owner="b")
+        await jobs.add(f"preview{number}", 9.5)
     gate.set()
     await jobs.run()
-    # after 1 + 2 * 9.5 s the second final has waited for 20 s, and its owner has used less
+    # after 1 + 2 * 9.5 s the second final has waited for 20 s, and its session has used less
     assert jobs.order == ["final0", "preview0", "preview1", "final1", "preview2"]
+
+
+@pytest.mark.parametrize("slots", [1, 2])
+@in_loop
+async def test_a_job_of_a_higher_order_does_not_wait_for_owners_that_have_used_more(slots, clock):
+    """It waited for 20 s behind the frames of another owner."""
+    jobs, gates = Jobs(FairShare(slots, clock=clock), clock), [asyncio.Event() for _ in range(slots)]
+    for number, gate in enumerate(gates):
+        await jobs.add(f"frame{number}", 1.0, owner="b", gate=gate)
+    await jobs.add("late", 1.0, order=1)
+    await jobs.add("frame", 1.0, owner="b")
+    gates[0].set()
+    for _ in range(3):
+        await asyncio.sleep(0)
+    assert jobs.order[slots] == "late"  # beside the frame in the other slot
+    gates[-1].set()
+    await jobs.run()
 
 
 @in_loop
 async def test_a_job_of_a_higher_order_runs_alone(clock):
     jobs, gates = Jobs(FairShare(2, clock=clock), clock), [asyncio.Event() for _ in range(2)]
     await jobs.add("frame0", 1.0, gate=gates[0])
-    await jobs.add("late", 1.0, order=1, owner="b")
+    await jobs.add("late", 1.0, order=1, session="t")
     await jobs.add("frame1", 1.0, gate=gates[1])
     assert jobs.order == ["frame0", "frame1"]  # beside each other
     gates[0].set()

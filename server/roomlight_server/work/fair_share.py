@@ -1,7 +1,7 @@
 """Slots of a thread pool, shared by time: a free slot goes to whoever has used the least time so far.
 
-Owners come first, then the sessions of an owner, then the order of arrival. A job that runs for long gives up its slot
-at its next pause if another job is ahead of it, and continues later on the same thread. So a client whose jobs are
+Owners come first, then the order of an owner's jobs, its sessions, and arrival. A job that runs for long gives up its
+slot at its next pause if another job is ahead of it, and continues later on the same thread. So a client whose jobs are
 large, or many, delays other clients by one time slice.
 
 An owner (or session) that was idle starts with the time of the one that is served at present (start-time fair
@@ -21,7 +21,7 @@ SLICE_S: Final = 0.15
 """Time for which a job keeps its slot although another is ahead of it. A frame of the default options takes less, so
 that frames of many sessions are finished one after the other. A job of a lower order does not wait for it."""
 PATIENCE_S: Final = 20.0
-"""Time after which a job that waits is no longer behind jobs of a lower order."""
+"""Time after which a job that waits is no longer behind jobs of its owner of a lower order."""
 MAX_PAUSED: Final = 8
 """Jobs that may be paused at once; each holds a thread and its intermediate data."""
 _FORGET_AFTER: Final = 1024
@@ -136,8 +136,8 @@ class FairShare:
         """Wait for a slot and hold it inside the context; the time counts for the current flow.
 
         Args:
-            order: Jobs of a lower one come first, until the others have waited for `PATIENCE_S`. One above 0 runs
-                alone.
+            order: Jobs of a lower one come first, until the others have waited for `PATIENCE_S` or their owner has
+                used less time. One above 0 runs alone, or beside owners that have used more time.
             on_next: Called when the job waits as the next one: what it needs may be prepared.
         """
         self._count += 1
@@ -161,8 +161,9 @@ class FairShare:
     def pause(self, turn: Turn) -> None:
         """Give the slot to jobs that are ahead of this one and wait for it again; called on the thread of the job."""
         others = (*self._waiting, *self._running)
-        before = any(self._order(other) < self._order(turn) for other in others)
-        due = before or (self._waiting and self._clock() - turn.since_s >= SLICE_S)
+        before = any(self._order(other) < self._order(turn) and not self._used_less(turn, other) for other in others)
+        watched = self._waiting or self._order(turn)  # frames of others run beside the latter: its time must be known
+        due = before or (watched and self._clock() - turn.since_s >= SLICE_S)
         if due and not self._closed:
             loop = turn.granted.get_loop()
             asyncio.run_coroutine_threadsafe(self._pause(turn), loop).result()
@@ -248,11 +249,14 @@ class FairShare:
         return same < self._per_owner and self._may_run(turn)
 
     def _may_run(self, turn: Turn) -> bool:
-        return self._order(turn) == 0 or all(other is turn for other in self._running)
+        return self._order(turn) == 0 or all(other is turn or self._used_less(turn, other) for other in self._running)
+
+    def _used_less(self, turn: Turn, other: Turn) -> bool:
+        return self._owners.used_s(turn.flow.owner) < self._owners.used_s(other.flow.owner)
 
     def _order(self, turn: Turn) -> int:
         return turn.order if self._clock() - turn.asked_s < PATIENCE_S else 0
 
-    def _key(self, turn: Turn) -> tuple[int, float, float, int]:
+    def _key(self, turn: Turn) -> tuple[float, int, float, int]:
         owner, session = turn.flow
-        return self._order(turn), self._owners.used_s(owner), self._sessions[owner].used_s(session), turn.number
+        return self._owners.used_s(owner), self._order(turn), self._sessions[owner].used_s(session), turn.number
