@@ -11,7 +11,19 @@ from unittest.mock import Mock
 
 import pytest
 
-from http_servers import OTHER, SMALL, TOKEN, Held, HeldSession, InThread, RunningServer, frame, server_on, wait_until
+from http_servers import (
+    OTHER,
+    SMALL,
+    TOKEN,
+    Held,
+    HeldSession,
+    InThread,
+    RunningServer,
+    frame,
+    metric,
+    server_on,
+    wait_until,
+)
 from roomlight.engine.state.records import FORMAT
 from roomlight.errors import OutputError, ServerError
 from roomlight.wire.frame_message import parse
@@ -365,6 +377,37 @@ def test_idle_sessions_leave_memory_and_come_back(tmp_path):
         assert server.call("GET", f"/v1/sessions/room{LIGHTS[1]}").body == light
         text = server.call("GET", "/metrics").body.decode()
         assert 'roomlight_sessions_ended_total{reason="saved"} 1.0' in text
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_an_idle_session_that_is_not_saved_is_kept_or_said_to_be_lost(tmp_path, monkeypatch, caplog, fails):
+    """It left memory as one that is saved."""
+    slow, now_s, original = [], [1000.0], store.write_session
+    write = Held(Mock(side_effect=FULL) if fails else original, lambda *_: slow)
+    with server_on(tmp_path / "state", clock=lambda: now_s[0], idle_expiry_s=100.0) as server:
+        server.open()
+        server.wait_until(lambda: list((tmp_path / "state/sessions").glob("*/state")))
+        monkeypatch.setattr(store, "write_session", write)
+        slow.extend([] if fails else [True])
+        now_s[0] += 1
+        server.push(0)
+        server.wait_until(lambda: write.calls or server.app.state.context.states.failing)
+        now_s[0] += 201
+        if fails:
+            assert status(server) == "open"
+            monkeypatch.setattr(store, "write_session", original)
+            now_s[0] += 1
+        wait_until(lambda: status(server) == "saved")  # or as it was before
+        slow.clear()
+        write.release()
+        assert metric(server, f'roomlight_sessions_ended_total{{reason="{"saved" if fails else "lost"}"}}') == 1
+    assert ("leaves memory before it is saved" in caplog.text) == (not fails)
+
+
+def status(server):
+    """Return the status of the only session."""
+    (session,) = server.call("GET", "/v1/sessions").json["sessions"]
+    return session["status"]
 
 
 def idle_times(server):

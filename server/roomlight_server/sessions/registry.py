@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Final
 
 from roomlight.engine.memory import Footprint
 from roomlight.engine.networks.graphs import LightingGraphs
@@ -18,6 +19,7 @@ from roomlight_server.base.problems import ProblemError
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.sessions.live_session import LiveSession
 from roomlight_server.sessions.quotas import Quotas
+from roomlight_server.state.journal import Journal
 from roomlight_server.state.listing import SavedHead
 from roomlight_server.state.restoring import restore
 from roomlight_server.state.store import Saveable, StateStore
@@ -26,6 +28,12 @@ from roomlight_server.work.workers import Workers
 _log = logging.getLogger("roomlight.server")
 Clock = Callable[[], float]
 """A monotonic clock, in seconds."""
+_IDLE_ENDS: Final = {
+    "expired": "it is deleted",
+    "saved": "it is saved, and goes on with the next request",
+    "lost": "its last changes could not be saved and are lost",
+}
+"""What becomes of an idle session, by the reason of its end."""
 
 
 class Registry:
@@ -270,21 +278,25 @@ class Registry:
 
     def expire(self) -> None:
         """End all sessions that are idle for too long."""
-        limit = self._clock() - self._settings.idle_expiry_s
+        now_s = self._clock()
         for key, live in tuple(self._sessions.items()):
-            if live.users or live.last_used_s >= limit or self._may_be_saved_yet(live, limit):
+            if live.users or now_s - live.last_used_s <= self._idle_limit_s(live.journal):
                 continue
             del self._sessions[key]
-            outcome = "it is deleted" if self._states is None else "it is saved, and goes on with the next request"
-            live.close(ProblemError("session-closed", f"the session was idle for too long: {outcome}"))
+            unsaved = live.journal is not None and live.journal.is_unsaved
+            reason = "expired" if self._states is None else "lost" if unsaved else "saved"
+            live.close(ProblemError("session-closed", f"the session was idle for too long: {_IDLE_ENDS[reason]}"))
             if self._states is not None:
                 self._states.left_memory(key[0], live)
-            self._record_end(live.name, "expired" if self._states is None else "saved")
+            if unsaved:
+                _log.error("an idle session leaves memory before it is saved", extra={"session": live.name})
+            self._record_end(live.name, reason)
 
-    def _may_be_saved_yet(self, live: LiveSession, limit_s: float) -> bool:
-        """Return whether an idle session has unsaved changes; it is kept at most twice as long for them."""
-        unsaved = live.journal is not None and live.journal.unsaved_s > 0
-        return unsaved and live.last_used_s >= limit_s - self._settings.idle_expiry_s
+    def _idle_limit_s(self, journal: Journal | None) -> float:
+        """Return how long an idle session is kept: twice as long if it is unsaved, without limit if saving fails."""
+        if journal is None or not journal.is_unsaved:
+            return self._settings.idle_expiry_s
+        return math.inf if journal.failing else 2 * self._settings.idle_expiry_s
 
     def close(self) -> None:
         """End all sessions."""

@@ -16,6 +16,7 @@ class Journal:
         messages: Messages of keyframes that are not on disk yet, as they came, by index.
         bases: Files of the keyframes on disk, by index.
         durable_index: Every frame up to this index is on disk; None before the first.
+        failing: Whether the last write that ended has failed.
         closed: Whether the session has ended: nothing of it is written any more.
     """
 
@@ -29,7 +30,7 @@ class Journal:
         self.messages: dict[int, bytes] = {}
         self.bases: dict[int, SavedBase] = {}
         self.durable_index: int | None = None
-        self.closed = False
+        self.failing = self.closed = False
 
     def changed(self, *, urgent: bool = False) -> None:
         """Record a change. An urgent one (probes) is saved as soon as possible."""
@@ -61,14 +62,20 @@ class Journal:
 
     def saved(self, bases: dict[int, SavedBase], processed_index: int, durable_index: int | None) -> None:
         """Record that the state after the frame `processed_index` is on disk, with these files."""
-        self.bases, self.durable_index, self._saving_since_s = bases, durable_index, None
+        self.bases, self.durable_index, self._saving_since_s, self.failing = bases, durable_index, None, False
         self.messages = {index: body for index, body in self.messages.items() if index > processed_index}
 
     def failed(self) -> None:
         """Record that the state could not be written. Messages are released: their frames are stored as pixels."""
         self.messages.clear()
+        self.failing = True
         if self._saving_since_s is not None:
             self._unsaved_since_s = self._saving_since_s
+
+    @property
+    def is_unsaved(self) -> bool:
+        """Whether something is not on disk yet that is to be written."""
+        return not self.closed and self.unsaved_s > 0
 
     @property
     def unsaved_s(self) -> float:

@@ -321,7 +321,7 @@ class StateStore:
 def _unsaved(sessions: Sessions) -> list[tuple[tuple[str, str], Saveable, Journal]]:
     """Return the sessions that can be saved and are not on disk as they are now."""
     journals = [(key, live, live.journal) for key, live in sessions()]
-    return [(key, live, of) for key, live, of in journals if of is not None and not of.closed and of.unsaved_s > 0]
+    return [(key, live, of) for key, live, of in journals if of is not None and of.is_unsaved]
 
 
 def refused(error: StateError, name: str) -> ProblemError:
