@@ -194,6 +194,7 @@ async def _running(app: FastAPI, context: Context, when_loaded: Callable[[], obj
     ]
     if states is not None:
         tasks.append(asyncio.create_task(states.run(registry.items, registry.end_moved)))
+        tasks.append(asyncio.create_task(states.run_expiry(registry.items)))
     try:
         yield
     finally:

@@ -456,19 +456,26 @@ def test_a_damaged_file_is_not_listed(saved, tmp_path):
             assert server.call("GET", "/v1/sessions").json["sessions"] == []
 
 
-def test_saved_sessions_expire(saved, tmp_path):
+def test_saved_sessions_expire_while_others_are_saved(saved, tmp_path, monkeypatch):
+    erase = Held(store.erase)
+    monkeypatch.setattr(store, "erase", erase)
     folder, now_s = copied(saved[0], tmp_path / "state"), [1000.0]
     state = next((folder / "sessions").glob("*/state"))
     (folder / "another file").write_text("not ours")
     (folder / "sessions" / "link").symlink_to(tmp_path)
     with server_on(folder, clock=lambda: now_s[0], state_expiry_s=60.0) as server:
 
-        def expired_later():
+        def later(condition):
             now_s[0] += 0.1 * (folder / "ages.json").exists()
-            return not state.parent.exists()
+            return condition()
 
-        server.wait_until(expired_later)
+        server.open("another")
+        server.wait_until(lambda: later(lambda: erase.calls))
         assert now_s[0] > 1060.0
+        server.push(0, name="another")
+        server.wait_until(lambda: later(lambda: server.state("another")["frames"]["durable_index"] == 0))
+        erase.release()
+        server.wait_until(lambda: not state.parent.exists())
         assert server.call("GET", "/v1/sessions/room").status == 404
     assert (folder / "another file").exists()
     assert (folder / "sessions" / "link").is_symlink()

@@ -90,7 +90,7 @@ class StateStore:
         self._tick_s = min(0.25, self._period_s / 4)
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="state")
         self._copy_pool = ThreadPoolExecutor(1, thread_name_prefix="copy")  # not behind the disk: frames wait for it
-        self._locks: WeakValueDictionary[tuple[str, str], asyncio.Lock] = WeakValueDictionary()
+        self._locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
         self._saving: dict[tuple[str, str], asyncio.Task[None]] = {}
         self._next_expiry_s = clock()
         self.failing: str | None = None
@@ -107,7 +107,7 @@ class StateStore:
         return Journal(self._clock)
 
     async def run(self, sessions: Sessions, end_moved: Callable[[tuple[str, str], Saveable], object]) -> None:
-        """Save changed sessions and erase expired ones, until cancelled.
+        """Save changed sessions, until cancelled.
 
         `end_moved` is called with a session that another server owns.
         """
@@ -119,9 +119,6 @@ class StateStore:
                     self._start_saving(key, live)
             unsaved_s = max((journal.unsaved_s for _, _, journal in _unsaved(sessions)), default=0.0)
             self._metrics.state_unsaved_seconds.set(unsaved_s)
-            if self._clock() >= self._next_expiry_s:
-                self._next_expiry_s = self._clock() + min(_EXPIRY_PERIOD_S, self._expiry_s)
-                await self._in_thread(self._erase_expired, {self._folder(*key).name for key, _ in sessions()})
 
     async def _check_leases(self, sessions: Sessions, end_moved: Callable[[tuple[str, str], Saveable], object]) -> None:
         if self._fence is None or self._clock() < self._next_lease_check_s:
@@ -243,7 +240,10 @@ class StateStore:
 
     def lock(self, owner: str, name: str) -> asyncio.Lock:
         """Return the lock of a session's folder: one of saving, restoring and erasing at a time."""
-        return self._locks.setdefault((owner, name), asyncio.Lock())  # lives while one of its users refers to it
+        return self._lock_of(self._folder(owner, name))
+
+    def _lock_of(self, folder: Path) -> asyncio.Lock:
+        return self._locks.setdefault(folder.name, asyncio.Lock())  # lives while one of its users refers to it
 
     async def read(self, owner: str, name: str) -> Reading:
         """Read a saved session. Raises ProblemError if the state cannot be used (409), or not be read now (503)."""
@@ -292,7 +292,20 @@ class StateStore:
         if live.lease is not None and live.journal is not None and live.journal.unsaved_s == 0:
             live.lease.release()
 
-    def _erase_expired(self, open_folders: set[str]) -> None:
+    async def run_expiry(self, sessions: Sessions) -> None:
+        """Erase expired sessions, one after the other, until cancelled."""
+        while True:
+            await asyncio.sleep(self._tick_s)
+            if self._clock() < self._next_expiry_s:
+                continue
+            self._next_expiry_s = self._clock() + min(_EXPIRY_PERIOD_S, self._expiry_s)
+            for folder, version in await self._in_thread(self._expired, self._open_folders(sessions)):
+                async with self._lock_of(folder):
+                    if folder.name not in self._open_folders(sessions):
+                        await self._in_thread(self._erase_expired, folder, version)
+
+    def _expired(self, open_folders: set[str]) -> list[tuple[Path, str]]:
+        """Return the folders of expired sessions, and their versions."""
         folders = session_folders(self._root)
         for folder in folders if self._fence is not None else ():
             if folder.name in open_folders:
@@ -300,16 +313,21 @@ class StateStore:
                     os.utime(folder / STATE)  # other servers do not know that it is open
         versions = {folder.name: _version(folder) for folder in folders}
         ages_s = self._ages.advance(versions, open_folders)
-        for folder in folders:
-            # it was erased or restored in the meantime, or cannot be removed: next time
-            with contextlib.suppress(OSError, OutputError, LeaseLostError):
-                if ages_s[folder.name] > self._expiry_s and _version(folder) == versions[folder.name]:
-                    fence = self._fence
-                    with contextlib.nullcontext() if fence is None else fence.guarded(fence.claim(folder.name)):
-                        erase(folder)
-                    _log.info("a saved session has expired")
         if self._fence is not None:  # records of sessions that are gone
-            self._fence.forget(time.time() - self._expiry_s, open_folders | {folder.name for folder in folders})
+            self._fence.forget(time.time() - self._expiry_s, open_folders | versions.keys())
+        return [(folder, versions[folder.name]) for folder in folders if ages_s[folder.name] > self._expiry_s]
+
+    def _erase_expired(self, folder: Path, version: str) -> None:
+        # it was erased or saved in the meantime, or cannot be removed: next time
+        with contextlib.suppress(OSError, OutputError, LeaseLostError):
+            if _version(folder) == version:
+                fence = self._fence
+                with contextlib.nullcontext() if fence is None else fence.guarded(fence.claim(folder.name)):
+                    erase(folder)
+                _log.info("a saved session has expired")
+
+    def _open_folders(self, sessions: Sessions) -> set[str]:
+        return {self._folder(*key).name for key, _ in sessions()}
 
     def _folder(self, owner: str, name: str) -> Path:
         return self._root / hashlib.sha256(f"{digest_of_owner(owner)}/{name}".encode()).hexdigest()[:32]
