@@ -379,6 +379,17 @@ def test_what_is_no_recording_fails_with_a_reason(server, files, reason):
     assert str(server.settings.recordings_folder) not in problem["detail"]  # no paths of the server
 
 
+def test_a_process_that_cannot_start_fails_a_replay_and_a_film(server, monkeypatch):
+    """The replay was finished, and the film was read for ever."""
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", AsyncMock(side_effect=BlockingIOError("no process")))
+    url = f"{URL}/{server.call('POST', '/v1/sample-recording').json['id']}"
+    server.call("PUT", f"{url}/replay", {"session": "room", "model": "classical"})
+    assert finished(server, url, "failed")["problem"]["type"].endswith("internal")
+    sphere = {"shape": "sphere", "size_m": 0.2, "position": [0, 1, 0]}
+    server.call("PUT", f"{url}/film", {"objects": [sphere]})
+    server.wait_until(lambda: server.call("GET", url).json["film"]["status"] == "failed")
+
+
 @pytest.mark.slow
 def test_a_reader_that_hangs_is_killed(server, monkeypatch):
     monkeypatch.setattr(recording_player, "READ_TIMEOUT_S", 0.01)  # the process takes longer to start

@@ -1,20 +1,16 @@
 """Films of an uploaded recording with objects in it, each made in a process of its own (`film_worker`)."""
 
-import asyncio
 import contextlib
 import logging
 import pickle
 import shutil
-import sys
 from asyncio.subprocess import PIPE
 from pathlib import Path
 
-from roomlight.threads import thread_count
 from roomlight.wire.recordings import Film
 from roomlight_server.base.problems import INTERNAL_DETAIL, ProblemError
 from roomlight_server.recordings.jobs import MAX_FILM_BYTES, FilmJob
-from roomlight_server.recordings.player import end_process, read_record
-from roomlight_server.work.processes import with_few_threads
+from roomlight_server.recordings.player import read_record, reading_process
 
 _log = logging.getLogger("roomlight.server")
 
@@ -34,19 +30,16 @@ class FilmMaker:
 
     async def run(self) -> None:
         """Make the film; a failure is in its `problem`."""
-        command = [sys.executable, "-P", "-m", "roomlight_server.recordings.film_worker"]
-        files = (str(self._folder), str(self.file))
-        environment = with_few_threads(thread_count())
-        process = await asyncio.create_subprocess_exec(*command, *files, stdin=PIPE, stdout=PIPE, env=environment)
         problem: ProblemError | None = None
         try:
-            assert process.stdin is not None
-            with contextlib.suppress(ConnectionError):  # it has ended: its output says why
-                process.stdin.write(pickle.dumps(tuple(self._job), protocol=pickle.HIGHEST_PROTOCOL))
-                await process.stdin.drain()
-                process.stdin.close()
-            while "end" not in (text := (await read_record(process, self._timeout_s))[0]):
-                self.film = Film(**text, bytes=0, problem=None)
+            async with reading_process("film_worker", str(self._folder), str(self.file), stdin=PIPE) as process:
+                assert process.stdin is not None
+                with contextlib.suppress(ConnectionError):  # it has ended: its output says why
+                    process.stdin.write(pickle.dumps(tuple(self._job), protocol=pickle.HIGHEST_PROTOCOL))
+                    await process.stdin.drain()
+                    process.stdin.close()
+                while "end" not in (text := (await read_record(process, self._timeout_s))[0]):
+                    self.film = Film(**text, bytes=0, problem=None)
             size = self.file.stat().st_size
             self.film = self.film.model_copy(update={"status": "ready", "bytes": size})
         except ProblemError as error:
@@ -54,8 +47,6 @@ class FilmMaker:
         except Exception:
             _log.exception("film failed", extra={"folder": self._folder.name})
             problem = ProblemError("internal", INTERNAL_DETAIL)
-        finally:
-            await end_process(process)
         if problem is not None:
             self.film = self.film.model_copy(update={"status": "failed", "problem": problem.problem})
             self.remove()

@@ -8,8 +8,9 @@ import asyncio
 import json
 import logging
 import sys
-from asyncio.subprocess import PIPE, Process
-from collections.abc import Callable
+from asyncio.subprocess import DEVNULL, PIPE, Process
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -68,18 +69,14 @@ class Player:
     async def run(self) -> None:
         """Play the recording to its end; a failure is in `progress.problem`."""
         rate = "-" if self._request.fps is None else repr(self._request.fps)
-        command = [sys.executable, "-P", "-m", "roomlight_server.recordings.worker", str(self._folder), rate]
-        streams: dict[str, Any] = {"stdin": asyncio.subprocess.DEVNULL, "stdout": PIPE}
-        process = await asyncio.create_subprocess_exec(*command, **streams, env=with_few_threads(thread_count()))
         try:
-            await self._play(process)
+            async with reading_process("worker", str(self._folder), rate, stdin=DEVNULL) as process:
+                await self._play(process)
         except ProblemError as error:
             self.progress.problem = error.problem
         except Exception:
             _log.exception("replay failed", extra={"session": self._live.name})
             self.progress.problem = ProblemError("internal", INTERNAL_DETAIL).problem
-        finally:
-            await end_process(process)
 
     async def _play(self, process: Process) -> None:
         described, _ = await read_record(process, READ_TIMEOUT_S)
@@ -138,7 +135,22 @@ class Player:
             outcome.exception()  # marks it as retrieved; the session counts refused frames
 
 
-async def end_process(process: Process) -> None:
+@asynccontextmanager
+async def reading_process(module: str, *arguments: str, stdin: int) -> AsyncGenerator[Process]:
+    """Run a module of this package in a process, which has ended after the context. Raises OSError if none can start.
+
+    Its `stdin` is that of `subprocess`; its output is read with `read_record`.
+    """
+    command = [sys.executable, "-P", "-m", f"{__package__}.{module}", *arguments]
+    environment = with_few_threads(thread_count())
+    process = await asyncio.create_subprocess_exec(*command, stdin=stdin, stdout=PIPE, env=environment)
+    try:
+        yield process
+    finally:
+        await _end(process)
+
+
+async def _end(process: Process) -> None:
     """Kill a process and wait for its end, also if the caller is cancelled meanwhile."""
     if process.returncode is None:
         process.kill()
