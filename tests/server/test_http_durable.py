@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import stat
+from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
@@ -258,14 +259,18 @@ def test_what_a_kill_leaves_half_written_is_ignored(saved, tmp_path):
 
 
 def test_a_state_that_cannot_be_read_now_is_asked_for_again(saved, tmp_path, monkeypatch):
-    original, broken = store.read_session, [True]
+    broken = [True]
 
-    def read(*args):
-        if broken:
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
-        return original(*args)
+    def breaking(original):
+        def read(path, *args, **kwargs):
+            if broken and path.parent.parent.name == "sessions":
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            return original(path, *args, **kwargs)
 
-    monkeypatch.setattr(store, "read_session", read)
+        return read
+
+    monkeypatch.setattr(Path, "read_bytes", breaking(Path.read_bytes))
+    monkeypatch.setattr(Path, "stat", breaking(Path.stat))
     with server_on(copied(saved[0], tmp_path / "state")) as server:
         answer = server.call("GET", "/v1/sessions/room")
         assert (answer.status, answer.kind, answer.headers["retry-after"]) == (503, "state-unavailable", "5")

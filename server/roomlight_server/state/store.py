@@ -231,8 +231,12 @@ class StateStore:
     # --- saved sessions ---------------------------------------------------------------------------------------
 
     def has(self, owner: str, name: str) -> bool:
-        """Return whether a session is on disk."""
-        return (self._folder(owner, name) / STATE).exists()
+        """Return whether a session is on disk, or may be: `read` says why the disk does not tell."""
+        try:
+            (self._folder(owner, name) / STATE).stat()
+        except OSError as error:
+            return not isinstance(error, FileNotFoundError | NotADirectoryError)
+        return True
 
     async def listed(self, owner: str) -> list[SavedHead]:
         """Return the sessions of an owner that are on disk, those in memory too; last used first."""
