@@ -175,6 +175,16 @@ def test_the_disk_of_a_token_is_limited(tmp_path):
         assert server.open("second", token=TOKEN).status == 201
 
 
+def test_a_session_beyond_the_quota_is_not_restored(saved, tmp_path, monkeypatch):
+    """Each attempt restored all of it before it was refused."""
+    read = Mock()
+    monkeypatch.setattr(store, "read_session", read)
+    with server_on(copied(saved[0], tmp_path / "state"), max_owner_sessions=1) as server:
+        server.open("another")
+        assert server.call("GET", "/v1/sessions/room").kind == "owner-quota"
+    assert not read.called
+
+
 def test_the_owner_is_kept_and_the_token_is_not(tmp_path):
     with server_on(tmp_path / "state", tokens=(TOKEN, OTHER)) as server:
         filled(server, count=1, token=TOKEN)

@@ -106,9 +106,8 @@ class Registry:
         if existing is not None:
             return self._reopen(existing, request), False
         async with self._opening:  # until it is added: sessions that are opened at once count each other
-            self._check_capacity()
+            self._check_capacity(owner)
             await self._check_disk(owner)
-            self._quotas.check_session(owner, 0, retry_after_s=self._expected_wait_s(owner))
             base = self._workers.base_options
             model = base.model if request.model == "auto" else request.model
             options = replace(base, model=model, height=request.height, unknown_depth=request.unknown_depth)
@@ -140,13 +139,13 @@ class Registry:
             known = self._current(owner, name)  # another request may have restored it in the meantime
             if known is not None or not self._states.has(owner, name):
                 return known
-            self._check_capacity()
+            self._check_capacity(owner)
             lease = await self._states.claim(owner, name)  # before it is read: nobody else writes it any more
             reading = await self._states.read(owner, name)
             graphs = await self._graphs_of(reading.values.request)
             engine, state = await restore(self._workers, reading, graphs)
             live = self._live(name, reading.values.request, engine, graphs)
-            self._check_capacity()  # others may have been opened while it was read
+            self._check_capacity(owner)  # others may have been opened while it was read
             self._check_size(owner, live)
             live.resume(state)
             live.journal, live.lease = self._states.restored(reading), lease
@@ -318,17 +317,17 @@ class Registry:
         live.last_used_s = self._clock()
         return live
 
-    def _check_capacity(self) -> None:
+    def _check_capacity(self, owner: str) -> None:
         self.check_not_stopping()
         limit = self._settings.max_sessions
-        if len(self._sessions) < limit:
-            return
-        raise ProblemError(
-            "server-full",
-            f"{limit} sessions are open; delete one that is no longer needed, or retry later",
-            rule=f"at most {limit} sessions",
-            retry_after_s=self._expected_wait_s(),
-        )
+        if len(self._sessions) >= limit:
+            raise ProblemError(
+                "server-full",
+                f"{limit} sessions are open; delete one that is no longer needed, or retry later",
+                rule=f"at most {limit} sessions",
+                retry_after_s=self._expected_wait_s(),
+            )
+        self._quotas.check_session(owner, 0, retry_after_s=self._expected_wait_s(owner))
 
     def check_not_stopping(self) -> None:
         """Check that new sessions and frames are accepted. Raises ProblemError if the server is stopping (503)."""
