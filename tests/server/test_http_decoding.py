@@ -2,11 +2,13 @@
 
 import errno
 import fcntl
+import mmap
 import os
 import re
 import resource
 import signal
 import struct
+import subprocess
 import termios
 from dataclasses import fields, replace
 from pathlib import Path
@@ -215,6 +217,18 @@ def test_a_decoded_frame_has_arrays_of_its_own(one_decoder):
     message = parse(colour_frame("jpeg", jpeg()), FrameLimits(2**30, 2**30, 2**30))
     frame = processes.decode(message, 1, 1.0, 0, (320, 240))
     assert all(array.base is None for array in (frame.image, frame.clipped, frame.depth_m))
+
+
+@pytest.mark.parametrize(("module", "call"), [(os, "ftruncate"), (mmap, "mmap"), (subprocess, "Popen")])
+def test_a_process_that_cannot_start_leaves_no_open_file(monkeypatch, module, call):
+    made, make = [], os.memfd_create
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "memfd_create", lambda *args: made.append(make(*args)) or made[-1])
+        patched.setattr(module, call, Mock(side_effect=BlockingIOError("no process, no memory")))
+        with pytest.raises((ServerError, BlockingIOError)):
+            DecodeProcesses(ServerSettings()).start(1)
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(made[0])
 
 
 def test_memory_that_the_system_refuses_is_named(monkeypatch):

@@ -87,9 +87,13 @@ class WorkerProcess:
         shared = self._block.descriptor
         command = [sys.executable, "-P", "-m", module, str(shared)]
         pipe, environment = subprocess.PIPE, with_few_threads(1)
-        self._process = subprocess.Popen(
-            command, stdin=pipe, stdout=pipe, bufsize=0, pass_fds=(shared,), env=environment
-        )
+        try:
+            self._process = subprocess.Popen(
+                command, stdin=pipe, stdout=pipe, bufsize=0, pass_fds=(shared,), env=environment
+            )
+        except OSError:
+            self._block.close()
+            raise
         os.set_blocking(self._pipe(self._process.stdin).fileno(), False)
         self._ready = False
 

@@ -9,6 +9,7 @@ import fcntl
 import mmap
 import os
 import tempfile
+from contextlib import ExitStack
 from typing import Final
 
 from roomlight.errors import ServerError
@@ -28,15 +29,18 @@ class SharedBlock:
         Raises:
             ServerError: The system refuses memory of this size.
         """
-        if descriptor is None:
-            try:
-                descriptor = _new_file()
-            except OSError as error:
-                advice = "raise the limit of the size of files (ulimit -f, LimitFSIZE)"
-                problem = f"shared memory of {BLOCK_BYTES} bytes cannot be made ({error.strerror})"
-                raise ServerError(f"{problem}; {advice}" if error.errno == errno.EFBIG else problem) from error
-        self.descriptor = descriptor
-        self._map = mmap.mmap(descriptor, BLOCK_BYTES)
+        try:
+            self.descriptor = _new_file() if descriptor is None else descriptor
+            with ExitStack() as at_failure:
+                at_failure.callback(os.close, self.descriptor)
+                if descriptor is None:
+                    _set_size(self.descriptor)
+                self._map = mmap.mmap(self.descriptor, BLOCK_BYTES)
+                at_failure.pop_all()
+        except OSError as error:
+            advice = "raise the limit of the size of files (ulimit -f, LimitFSIZE)"
+            problem = f"shared memory of {BLOCK_BYTES} bytes cannot be made ({error.strerror})"
+            raise ServerError(f"{problem}; {advice}" if error.errno == errno.EFBIG else problem) from error
 
     def write(self, *parts: bytes | bytearray | memoryview) -> None:
         """Write parts one after the other, from the start; together at most `BLOCK_BYTES`."""
@@ -66,10 +70,12 @@ class SharedBlock:
 
 def _new_file() -> int:
     if hasattr(os, "memfd_create"):
-        descriptor = os.memfd_create("roomlight", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
-        os.ftruncate(descriptor, BLOCK_BYTES)
-        fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
-        return descriptor
+        return os.memfd_create("roomlight", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     with tempfile.TemporaryFile() as file:  # systems without memory files
-        file.truncate(BLOCK_BYTES)
         return os.dup(file.fileno())
+
+
+def _set_size(descriptor: int) -> None:
+    os.ftruncate(descriptor, BLOCK_BYTES)
+    if hasattr(os, "memfd_create"):
+        fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
