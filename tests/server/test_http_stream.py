@@ -124,8 +124,10 @@ def test_a_rejected_message_keeps_the_connection_open(server):
             stream.send(invalid)
             refused = stream.next("problem")
             assert (refused["request"], refused["problem"]["status"]) == ("r7", 422)
-        stream.send(light | {"request": 7})
-        assert "request" not in stream.next("problem")
+        for unusable in (7, "half of an emoji \ud83d"):
+            stream.send(light | {"request": unusable})
+            refused = stream.next("problem")
+            assert ("request" in refused, refused["problem"]["status"]) == (False, 422)
         stream.send(frame(0, index=3))
         assert stream.next("frame")["status"] == "processed"
         stream.send(frame(1, index=2))

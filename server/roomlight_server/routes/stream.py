@@ -278,12 +278,13 @@ class _Connection:
 
 def _stated_request(text: str) -> str | None:
     """Return the `request` in a message even if the message is otherwise invalid, as `stated_index` does for frames."""
-    try:
+    with suppress(ValueError, RecursionError):
         message = json.loads(text)
-    except (ValueError, RecursionError):
-        return None
-    request = message.get("request") if isinstance(message, dict) else None
-    return request if isinstance(request, str) else None
+        request = message.get("request") if isinstance(message, dict) else None
+        if isinstance(request, str):
+            request.encode()  # half of a surrogate pair cannot be sent back
+            return request
+    return None
 
 
 @contextmanager
