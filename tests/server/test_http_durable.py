@@ -33,6 +33,7 @@ from roomlight_server.base.settings import ServerSettings
 from roomlight_server.sessions.frame_queue import Entry, FrameQueue
 from roomlight_server.state import session_folder, store
 from roomlight_server.state.ages import SavedAges
+from roomlight_server.state.journal import Journal
 
 YAWS = (0, 12, 24, 36, 48, 60)
 PROBE = {"position": [0.2, 1.2, -0.5]}
@@ -338,6 +339,14 @@ def test_large_messages_are_kept_as_pixels(tmp_path, monkeypatch):
     assert not list(kept.rglob("*.frame"))
     with server_on(kept) as server:
         assert lights(server) == light
+
+
+def test_messages_are_bounded_while_a_write_hangs():
+    """Those of keyframes that the engine had dropped stayed."""
+    journal = Journal(lambda: 0.0)
+    for index in range(9):
+        journal.processed(index, parse(frame(0)), keyframe=True, most=4)
+    assert list(journal.messages) == [5, 6, 7, 8]
 
 
 def test_stopping_saves_the_last_frames(tmp_path):

@@ -223,7 +223,8 @@ class LiveSession(EngineAccess):
             self.lighting.frame = entry.index
             self.latest = LatestFrame(entry.index, message, frame.depth_m if estimated else None)
             if self.journal is not None:
-                self.journal.processed(entry.index, message, keyframe=report.keyframe)
+                kept = self._keyframe_capacity
+                self.journal.processed(entry.index, message, keyframe=report.keyframe, most=kept)
             self._metrics.observe_frame(report)
             self.history.add(frame, report, self._queue.counts(), lights)
             self._queue.processed(entry, result)

@@ -38,8 +38,8 @@ class Journal:
             self._unsaved_since_s = self._clock()
         self._urgent |= urgent
 
-    def processed(self, index: int, message: FrameMessage, *, keyframe: bool) -> None:
-        """Record a processed frame; keep the message of a keyframe until it is written.
+    def processed(self, index: int, message: FrameMessage, *, keyframe: bool, most: int) -> None:
+        """Record a processed frame; keep the message of a keyframe until it is written, at most the newest `most`.
 
         One without depth makes no frame again, whose depth was estimated: the frame is stored as pixels.
         """
@@ -48,6 +48,8 @@ class Journal:
             body = body_of(message)
             if len(body) <= MAX_MESSAGE_BYTES:
                 self.messages[index] = body
+            if len(self.messages) > most:  # a write hangs: the oldest keyframe is gone, or is stored as pixels
+                del self.messages[min(self.messages)]
 
     def is_due(self, period_s: float) -> bool:
         """Return whether to save now: something is unsaved, and the last start was `period_s` ago or it is urgent."""
