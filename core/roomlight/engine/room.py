@@ -25,9 +25,9 @@ from roomlight.engine.volume.sglv import Far, Sglv
 from roomlight.frame import Frame
 
 MOST_LEFT: Final = 2
-"""Most rooms that are remembered after they were left, those of which most was seen: 14 MB and `LEFT_KEYFRAMES` each. A
-living room is remembered in the kitchen, though the floor of the corridor between was several rooms to a lowered
-phone."""
+"""Most rooms that are remembered after they were left, the last one and those of which most was seen: 14 MB and
+`LEFT_KEYFRAMES` each. A living room is remembered in the kitchen, though the floor of the corridor between was several
+rooms to a lowered phone."""
 LEFT_KEYFRAMES: Final = 12
 """Most keyframes of a room that was left: they cover a pan around it."""
 BACK_MARGIN: Final = 0.25
@@ -112,7 +112,7 @@ class Room:
         self.keyframes.restore(keyframes, last)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RoomView:
     """What points need of a room after one frame, as `Room` has it; also what is remembered of a room that was left."""
 
@@ -129,6 +129,12 @@ class RoomView:
         """Return a room that was left, with its meshes of those in `kept`, by index."""
         sglv = Sglv(saved.grid, saved.sglv["alpha"], saved.sglv["lobes"])
         return cls(saved.grid, sglv, far, new_probe, [(index, kept[index]) for index in saved.frames])
+
+    @property
+    def place(self) -> Position:
+        """Where the camera was when the room began, world metres."""
+        x, y, z = self.grid.volume_to_world[:3, 3].tolist()
+        return x, y, z
 
     def shown_m2(self) -> float:
         """Return about how much surface the keyframes show in the volume."""

@@ -298,10 +298,15 @@ class Session:
             room = self._new_room(VolumeGrid.from_frame(frame, shape=self._model.volume_shape))
             others = self._left
         if present is not None:
+            covered = [view for view in others if room.grid.margin(view.place) >= BACK_MARGIN]
+            for view in covered:  # they are one room, whose light may have changed since
+                room.take_over(view.meshes)
+            left = [view for view in others if view not in covered]
             room.take_over(present.meshes)
-            left = [*others] if stays else [*others, present.left()]
+            if not stays:
+                left.append(present.left())
             if len(left) > MOST_LEFT:
-                del left[int(np.argmin([view.shown_m2() for view in left]))]
+                del left[int(np.argmin([view.shown_m2() for view in left[:-1]]))]
             self._left = tuple(left)
         self._room = room
         for handle, probe in self._probes.items():

@@ -155,6 +155,20 @@ def test_a_place_that_lay_in_no_volume_is_not_forgotten_when_the_camera_goes_to_
     assert not probe.forgotten
 
 
+def test_the_room_that_was_just_left_is_remembered_though_it_is_small():
+    session = session_of([_far(0, 0), _far(1, 1), _wall(2, 1.0, z=-20), _wall(3, 1.0, z=-40)], height=HEIGHT)
+    assert session.rooms_left == MOST_LEFT
+    assert session.light_at((0.0, 0.0, -20.5)).coverage > 0.05
+
+
+def test_a_room_that_was_left_is_one_with_a_later_one_around_it():
+    """The light has changed since: what was kept of the room would show it as it was."""
+    before = [_wall(0, 2.0), _wall(1, 2.0, z=-8)]
+    around = [_wall(2 + n, 30.0, z=-16, yaw=180, light=0.9) for n in (0, 1)]
+    session = session_of([*before, *around], height=16)
+    assert session.rooms_left == 1
+
+
 def test_a_frame_without_depth_begins_no_room():
     blind = replace(_far(1, 1), depth_m=np.zeros((120, 160), np.float32))
     session = session_of([_far(0, 0), blind], height=HEIGHT)
@@ -182,12 +196,18 @@ def test_a_wall_beyond_a_close_ups_volume_is_seen_again_from_the_rooms_own():
     assert (state.radiance[8, 8, 0], state.depth_m[8, 8]) == pytest.approx((0.9, 3.1), rel=0.01)
 
 
-@pytest.mark.parametrize(("far", "depth_max_m"), [(1.0, 4.0), (0.4, 0.5)], ids=["room", "view through a door"])
-def test_a_close_ups_volume_gives_way_to_the_rooms_own_though_the_camera_stays(far, depth_max_m):
-    turned = _wall(1, 4.0, yaw=90)
-    turned.depth_m[:, round(far * turned.depth_m.shape[1]) :] = 0.4
-    session = session_of([_wall(0, 0.4), turned], probes=[PROBE], height=16)
-    assert (present(session.grid).depth_max_m, session.rooms_left, session.keyframes) == (depth_max_m, 0, 2)
+@pytest.mark.parametrize(
+    ("first_m", "columns", "rest_m", "depth_max_m"),
+    [(0.4, 160, 0.4, 4.0), (0.4, 64, 0.4, 0.5), (0.4, 64, 0.0, 0.5), (1.6, 160, 1.6, 1.6)],
+    ids=["room", "view through a door", "little depth", "look out of a room"],
+)
+def test_a_close_ups_volume_gives_way_to_the_rooms_own_though_the_camera_stays(first_m, columns, rest_m, depth_max_m):
+    turned = _wall(1, 4.0 if first_m < 1 else 30.0, yaw=90)
+    turned.depth_m[:, columns:] = rest_m
+    options = {"probes": [PROBE], "height": 16, "unknown_depth": "drop"}
+    session = session_of([_wall(0, first_m), turned], **options)
+    assert present(session.grid).depth_max_m == pytest.approx(depth_max_m)
+    assert session.rooms_left == 0
     loaded = session_from(state_of(session))
     for same in (session, loaded):
         same.push(_wall(2, 4.0, yaw=180))

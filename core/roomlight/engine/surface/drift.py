@@ -129,12 +129,13 @@ def _measured(
 
 def _overlapping(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlier: Sequence[FrameMesh]) -> list[FrameMesh]:
     """Return earlier frames that may show much of what the frame shows, the oldest first, and the last one."""
-    if not earlier:
-        return []
+    known_m = depth_m[depth_m > 0]
+    if not earlier or not known_m.size:
+        return list(earlier[-1:])
     pose = frame.camera_to_world
     poses = np.array([mesh.camera_to_world for mesh in earlier])
     alike = poses[:, :3, 2] @ pose[:3, 2] > _ALIKE
-    close = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) < _REACH * float(np.median(depth_m))
+    close = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) < _REACH * float(np.median(known_m))
     oldest = (alike & close).nonzero()[0][:_TRIED]
     return [earlier[number] for number in dict.fromkeys([*oldest, len(earlier) - 1])]
 

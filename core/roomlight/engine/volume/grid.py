@@ -28,7 +28,9 @@ DEPTH_MAX_QUANTILE: Final = 0.995
 DEPTH_MAX_FLOOR_M: Final = 0.5
 """Least D_max: a session that begins with a hand before the lens gets a volume 1.1 m wide."""
 NARROW: Final = 2.5
-"""A volume is too narrow for a frame most of which is farther away than this, in units of D_max."""
+"""A close-up's volume is too narrow for a frame most of which is farther away than this, in units of D_max."""
+CLOSE_UP_M: Final = 1.5
+"""Largest D_max of a close-up: of a floor, a table, a hand. A room keeps its volume: the camera may look out of it."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +107,11 @@ class VolumeGrid:
 
         A view through a door or a window, which fills less of the image, does not make the room's volume too narrow.
         """
+        if self.depth_max_m > CLOSE_UP_M:
+            return False
+        known = np.count_nonzero(frame.depth_m)
         far = np.count_nonzero(frame.depth_m > NARROW * self.depth_max_m)
-        return bool(2 * far > np.count_nonzero(frame.depth_m))
+        return bool(2 * known > frame.depth_m.size and 2 * far > known)
 
     def nearest_inside(self, position_world: Position) -> Position:
         """Return a world position (metres) if it is in the volume, else the nearest one a voxel from the faces."""
