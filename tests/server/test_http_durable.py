@@ -403,12 +403,14 @@ def test_idle_sessions_leave_memory_and_come_back(tmp_path):
         assert 'roomlight_sessions_ended_total{reason="saved"} 1.0' in text
 
 
-@pytest.mark.parametrize("fails", [False, True])
-def test_an_idle_session_that_is_not_saved_is_kept_or_said_to_be_lost(tmp_path, monkeypatch, caplog, fails):
+@pytest.mark.parametrize(
+    ("fails", "most"), [(False, 2), (True, 2), (True, 1)], ids=["slow disk", "full disk", "full disk and server"]
+)
+def test_an_idle_session_that_is_not_saved_is_kept_or_said_to_be_lost(tmp_path, monkeypatch, caplog, fails, most):
     """It left memory as one that is saved."""
-    slow, now_s, original = [], [1000.0], store.write_session
+    slow, now_s, original, is_kept = [], [1000.0], store.write_session, fails and most > 1
     write = Held(Mock(side_effect=FULL) if fails else original, lambda *_: slow)
-    with server_on(tmp_path / "state", clock=lambda: now_s[0], idle_expiry_s=100.0) as server:
+    with server_on(tmp_path / "state", clock=lambda: now_s[0], idle_expiry_s=100.0, max_sessions=most) as server:
         server.open()
         server.wait_until(lambda: list((tmp_path / "state/sessions").glob("*/state")))
         monkeypatch.setattr(store, "write_session", write)
@@ -417,15 +419,15 @@ def test_an_idle_session_that_is_not_saved_is_kept_or_said_to_be_lost(tmp_path, 
         server.push(0)
         server.wait_until(lambda: write.calls or server.app.state.context.states.failing)
         now_s[0] += 201
-        if fails:
+        if is_kept:
             assert status(server) == "open"
             monkeypatch.setattr(store, "write_session", original)
             now_s[0] += 1
         wait_until(lambda: status(server) == "saved")  # or as it was before
         slow.clear()
         write.release()
-        assert metric(server, f'roomlight_sessions_ended_total{{reason="{"saved" if fails else "lost"}"}}') == 1
-    assert ("leaves memory before it is saved" in caplog.text) == (not fails)
+        assert metric(server, f'roomlight_sessions_ended_total{{reason="{"saved" if is_kept else "lost"}"}}') == 1
+    assert ("leaves memory before it is saved" in caplog.text) == (not is_kept)
 
 
 def status(server):

@@ -335,7 +335,10 @@ class Capture:
                 try:
                     frame = self._frame(index, read)
                     if at.good == 0 and frame.is_black:
-                        raise FrameError(f"{frame.source}: its image is black, as cameras begin and films fade in")
+                        raise FrameError(
+                            f"{frame.source}: its image is black, as cameras begin and films fade in; "
+                            "or it is in another unit than 1 = white"
+                        )
                 except FrameError as error:
                     skipped.append(SkippedFrame(index, self._reader.name_of(index), str(error)))
                     continue

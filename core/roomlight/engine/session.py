@@ -237,21 +237,22 @@ class Session:
             room = self._room_of(prepared)
         with clock.stage("volume"):
             # after completion ("rim") only pixels that the frame's mask leaves out are without depth
-            seen, unknown = prepared.seen, options.unknown_depth
-            far = unknown != "drop" if seen is None else unknown == "far" and bool(seen.any())
-            clipping = room.write_volume(prepared, far_unknown=far)
+            far = options.unknown_depth == "far" or (options.unknown_depth == "rim" and prepared.seen is None)
+            is_blind = prepared.seen is not None and not prepared.seen.any()  # black, or all of it is masked
+            clipping = None if is_blind else room.write_volume(prepared, far_unknown=far)
         with clock.stage("sglv"):
-            room.volume.update(clipping)
+            if not is_blind:
+                room.volume.update(clipping)
         with clock.stage("mesh"):
             mesh = FrameMesh(prepared, sensor_depth_m=measured.depth_m, sensor_clipped=measured.clipped)
             mesh.gain = drift.gain
         number = max(frame.index, self._last_number + 1)  # a second recording may begin at 0 again
         with clock.stage("keyframes"):
             is_keyframe = room.keep(number, mesh, turn=self.frames)
-        for handle, position in self._pending.items():
-            self._probes[handle] = Probe.fresh(position, room, height=options.height)
+        fresh = {at: Probe.fresh(position, room, height=options.height) for at, position in self._pending.items()}
+        self._probes |= fresh
         self._pending.clear()
-        self._push_to_probes(mesh, clock)
+        self._push_to_probes(list((fresh if is_blind else self._probes).values()), mesh, clock)
         mesh.forget()
         self._last_index, self._last_number, self._drift = frame.index, number, drift
         self.frames += 1
@@ -317,9 +318,8 @@ class Session:
     def _rooms(self) -> tuple[AnyRoom, ...]:
         return self._left if self._room is None else (*self._left, self._room)
 
-    def _push_to_probes(self, mesh: FrameMesh, clock: _Clock) -> None:
-        """Blend the frame into every probe; many probes are computed side by side, on all cores."""
-        probes = list(self._probes.values())
+    def _push_to_probes(self, probes: Sequence[Probe], mesh: FrameMesh, clock: _Clock) -> None:
+        """Blend the frame into the probes; many are computed side by side, on all cores."""
         clocks = [_Clock() for _ in probes]
 
         def push(start: int, stop: int) -> None:

@@ -85,7 +85,7 @@ class ServerSettings(BaseSettings):
         engine_threads: Sessions whose frames are processed at the same time. Each uses `ROOMLIGHT_THREADS` threads,
             but a part of its time only one: a second one makes 1.1 times the frames of 16 sessions on two cores.
         decode_threads: Images decoded at once. As many decoding processes are started. With several tokens, one
-            thread is left for the others. Objects are decoded beside images, at most one fewer of a token at once.
+            thread is left for the others. Objects are decoded beside images, in as many processes more.
         encode_threads: Lights encoded at once. With several tokens, one thread is left for the others.
         log_level: Least level of the lines in the log.
         access_log: Log a line for each request.

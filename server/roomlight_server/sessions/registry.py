@@ -292,10 +292,14 @@ class Registry:
             self._record_end(live.name, reason)
 
     def _idle_limit_s(self, journal: Journal | None) -> float:
-        """Return how long an idle session is kept: twice as long if it is unsaved, without limit if saving fails."""
+        """Return how long an idle session is kept.
+
+        Twice as long if it is unsaved, and if saving fails until the server is full.
+        """
         if journal is None or not journal.is_unsaved:
             return self._settings.idle_expiry_s
-        return math.inf if journal.failing else 2 * self._settings.idle_expiry_s
+        is_full = len(self._sessions) >= self._settings.max_sessions
+        return 2 * self._settings.idle_expiry_s if is_full or not journal.failing else math.inf
 
     def close(self) -> None:
         """End all sessions."""

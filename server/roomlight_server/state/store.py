@@ -90,6 +90,7 @@ class StateStore:
         self._tick_s = min(0.25, self._period_s / 4)
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="state")
         self._copy_pool = ThreadPoolExecutor(1, thread_name_prefix="copy")  # not behind the disk: frames wait for it
+        self._writers = asyncio.Semaphore(2)  # only these have copies of states in memory
         self._locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
         self._saving: dict[tuple[str, str], asyncio.Task[None]] = {}
         self._next_expiry_s = clock()
@@ -141,7 +142,8 @@ class StateStore:
         assert journal is not None
         journal.begin()
         try:
-            await self._save(key, live, journal)
+            async with self._writers:
+                await self._save(key, live, journal)
         except Exception as error:  # also if out of memory, or of a bug, other sessions are saved nevertheless
             if self.failing is None and not isinstance(error, OSError | OutputError):
                 _log.exception("unexpected error while a session was saved", extra={"session": live.name})

@@ -243,6 +243,7 @@ def test_a_later_frame_without_depth_or_light_changes_no_coverage(pan_frames, pa
     assert not reports[-1].keyframe
     if part == "image":
         np.testing.assert_array_equal(present(session.sglv).lobes, present(clean.sglv).lobes)
+        np.testing.assert_array_equal(session.light(0).reflection, clean.light(0).reflection)
 
 
 def test_a_dark_room_is_no_black_frame(pan_frames):
