@@ -109,6 +109,17 @@ def test_a_red_cube_bleeds_red_onto_a_white_floor():
     assert green < 0.75
 
 
+def test_the_lit_inside_of_a_closed_box_lights_no_floor_beside_it():
+    toward = unit(np.cos(np.radians(20)), np.sin(np.radians(20)), 0)
+    panorama = lit(120, [(toward, 4.0, 200.0)], level=0.1)
+    held = moved(cube(0.4, diffuse((0.8, 0.8, 0.8))), 0, 0.2)
+    white = caster(held, panorama, (0, 0.2, 0), 0.4 * np.sqrt(0.75))
+    ratio, grid = ratio_of(white, QUALITIES["final"])
+    x, _, z = np.moveaxis(grid.points, -1, 0)
+    foot, away = ((x < -begin) & (x > -begin - 0.02) & (np.abs(z) < 0.1) for begin in (0.2, 0.35))
+    assert ratio[foot].mean() < 1.1 * ratio[away].mean()
+
+
 def test_reflected_light_conserves_a_white_furnace():
     """A white object under a white sky reflects what it blocks: only its own underside is dark."""
     white = ball(lit(60, [], level=1.0), height=0.6, material=diffuse((1.0, 1.0, 1.0)))

@@ -33,6 +33,7 @@ class Change(NamedTuple):
         occluder_m: [h, w] mean distance of what takes the light; large where nothing does.
         glow: [h, w, 3] light that they reflect, as a share.
         near: [h, w] where they change anything.
+        inside: [h, w] where they hide the surface: what it sees of their lit walls shows nowhere.
     """
 
     dark: np.ndarray
@@ -40,6 +41,7 @@ class Change(NamedTuple):
     occluder_m: np.ndarray
     glow: np.ndarray
     near: np.ndarray
+    inside: np.ndarray
 
 
 _SPREAD = np.float32(0.5)
@@ -52,7 +54,8 @@ def filter_change(change, grid, radius, plane_m, most_ratio, out, start, stop):
 
     `dark` is smoothed as far as its sampling noise allows, and over less than the distance of the objects that take the
     light, but a pixel at least: a shadow is sharp where they touch the surface (Mehta 2012). `glow`, which has no
-    sharp borders, is smoothed wherever `dark` changes slowly: at a contact both change together.
+    sharp borders, is smoothed wherever `dark` changes slowly: at a contact both change together. It is that of points
+    outside the objects alone.
 
     Args:
         plane_m: distance from a pixel's plane at which a neighbour's weight falls to 1/e.
@@ -96,6 +99,8 @@ def filter_change(change, grid, radius, plane_m, most_ratio, out, start, stop):
                     blur_m = _SPREAD * min(change.occluder_m[i, j], change.occluder_m[y, x])
                     close = math.exp(-np.float32(0.5) * np.float32((y - i) * (y - i) + (x - j) * (x - j)))
                     weight *= max(math.exp(-min(apart / (blur_m * blur_m + np.float32(1e-9)), np.float32(30))), close)
+                    if change.inside[y, x]:
+                        near = np.float32(0)
                     glow_total += near
                     glow_red += near * glow[y, x, 0]
                     glow_green += near * glow[y, x, 1]
@@ -105,6 +110,7 @@ def filter_change(change, grid, radius, plane_m, most_ratio, out, start, stop):
                     green += weight * dark[y, x, 1]
                     blue += weight * dark[y, x, 2]
             red, green, blue = red / total, green / total, blue / total
+            glow_total = max(glow_total, np.float32(1e-9))
             glow_red, glow_green, glow_blue = glow_red / glow_total, glow_green / glow_total, glow_blue / glow_total
             most = np.float32(most_ratio) - max(red, green, blue)  # of glow, whose colour stays as it is
             dim = min(most / max(glow_red, glow_green, glow_blue, np.float32(1e-9)), np.float32(1))

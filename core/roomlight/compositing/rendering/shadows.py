@@ -325,7 +325,9 @@ def coarse_ratio(
     lost[near], nearness[near] = received.blocked @ _THIRDS, received.nearness
     occluder_m = cv2.blur(lost, (5, 5)) / np.maximum(cv2.blur(nearness, (5, 5)), np.float32(1e-9))
     occluder_m[occluder_m <= 0] = _FAR_M
-    change = Change(dark, noise, occluder_m, glow, near)
+    inside = np.zeros((height, width), bool)
+    inside[near] = received.inside
+    change = Change(dark, noise, occluder_m, glow, near, inside)
     arguments = (change, grid, quality.radius, np.float32(0.02), np.float32(RATIO_RANGE[1]), out)
     parallel_for(lambda start, stop: filter_change(*arguments, start, stop), height)
     return out, occluder_m
@@ -364,6 +366,7 @@ class _LightChange:
         nearness: sum of what they take / their distance.
         irradiance: without the objects and without the samples' noise.
         bounced: what the objects reflect.
+        inside: points that objects hide.
     """
 
     unblocked: Float32[np.ndarray, "n 3"]
@@ -372,6 +375,7 @@ class _LightChange:
     nearness: Float32[np.ndarray, " n"]
     irradiance: Float32[np.ndarray, "n 3"]
     bounced: Float32[np.ndarray, "n 3"]
+    inside: Bool[np.ndarray, " n"]
 
 
 def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, lamp: Lamp | None) -> _LightChange:
@@ -380,7 +384,7 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
     levels = caster.light.prefiltered
     unblocked, irradiance = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     blocked, squares, nearness = np.zeros((count, 3), np.float32), *np.zeros((2, count), np.float32)
-    bounced = np.zeros((count, 3), np.float32)
+    bounced, inside = np.zeros((count, 3), np.float32), np.zeros(count, bool)
     spheres, lift = caster.spheres, np.float32(LIFT_M)
     reach = np.float32(quality.reach if caster.scene.materials.emissive.any() else GLOW_REACH)
     numbers = subset_points(quality.bounces).astype(np.float32).reshape(TILE * TILE, quality.bounces, 2)
@@ -398,6 +402,7 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
             met = _first(rays, object_rays(receivers, spheres, lift, numbers, reach, rays, start, stop))
             hits = caster.scene.trace(met.origin, met.direction)
             add_bounced(met, hits.face, hits.distance_m, caster.object_ids, looks, levels, ground, bounced)
+            inside[start:stop] = _inside(caster.scene, receivers.points[start:stop], receivers.normals[start:stop])
 
     most = max(1, _BLOCK_RAYS // max(samples, quality.bounces * len(spheres)))
     parallel_for(work, count, pieces_per_thread=2, most=most)
@@ -407,7 +412,22 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
     # All of a few samples agreeing still leaves doubt: half a sample.
     least = np.where(squares > 0, np.float32(0.2 / samples), np.float32(0.05 / samples)) * (unblocked @ _THIRDS)
     doubt = np.sqrt(np.maximum(variance, 0) + least**2)
-    return _LightChange(unblocked, blocked, doubt, nearness, irradiance, bounced)
+    return _LightChange(unblocked, blocked, doubt, nearness, irradiance, bounced, inside)
+
+
+def _inside(
+    scene: TracedObjects, points: Float32[np.ndarray, "n 3"], normals: Float32[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Return which points of real surfaces are inside objects: behind the surface the objects show their back.
+
+    In front of it, also sheets with one side and plants do.
+    """
+    hits = scene.trace(points + np.float32(LIFT_M) * normals, -normals)
+    met = np.flatnonzero(hits.face >= 0)
+    a, b, c = scene.surfaces.corners[hits.face[met]].swapaxes(0, 1)
+    inside = np.zeros(len(points), bool)
+    inside[met] = np.einsum("nc,nc->n", np.cross(b - a, c - a), normals[met]) < 0
+    return inside
 
 
 def _at_least_seen(
