@@ -141,8 +141,22 @@ def test_light_passes_both_walls_of_a_clear_ball_but_nothing_opaque_in_it(materi
     umbra = grid.known & (dark[..., 1] < 0.03)
     assert clear[umbra].mean() == pytest.approx(left, abs=0.02)
     core = moved(sphere(0.19), 0, 0.5)
-    filled, _ = ratio_of(replace(shell, scene=TracedObjects([*shell.scene.objects, core])))
+    both = TracedObjects([*shell.scene.objects, core])
+    filled, _ = ratio_of(replace(shell, scene=both, spheres=shell.spheres.repeat(2, axis=0), object_ids=np.arange(2)))
     assert np.median(filled[umbra]) < 0.03
+
+
+@pytest.mark.parametrize("tint", [None, 0.5], ids=["opaque", "glass"])
+def test_a_lamp_that_two_casters_hide_is_lost_once(tint):
+    toward = unit(0.35, 1.0, 0.2)
+    high = np.array([0, 0.5, 0]) + 0.6 * toward
+    lower = ball(lit(240, [(toward, 3.0, 100.0)], level=1.0), material=tint and glass(tint=(tint,) * 3))
+    scene = TracedObjects([*lower.scene.objects, moved(sphere(0.2), *high)])
+    both = replace(lower, scene=scene, spheres=np.float32([[0, 0.5, 0, 0.2], [*high, 0.2]]), object_ids=np.arange(2))
+    apart = [ratio_of(replace(both, spheres=both.spheres[[k]], object_ids=np.array([k])))[0] for k in (0, 1)]
+    together, grid = ratio_of(both)
+    umbra = grid.known & (from_axis(grid, high, toward)[1] < 0.1)
+    assert (apart[0] * apart[1])[umbra].mean() == pytest.approx(together[umbra].mean(), rel=0.05)
 
 
 @pytest.mark.parametrize("cutoff", [None, 0.5])

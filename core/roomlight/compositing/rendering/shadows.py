@@ -396,7 +396,7 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
         rays = _rays((stop - start) * samples, 3)
         arguments = (receivers, light, places, of_lamp, spheres, lift, levels[-1], unblocked, irradiance, rays)
         met = _first(rays, light_rays(*arguments, start, stop))
-        add_blocked(met, *_taken(caster.scene, met, opacities), blocked, squares, nearness)
+        add_blocked(met, *_taken(caster, met, opacities), blocked, squares, nearness)
         if quality.bounces:
             rays = _rays((stop - start) * quality.bounces * len(spheres), 1)
             met = _first(rays, object_rays(receivers, spheres, lift, numbers, reach, rays, start, stop))
@@ -473,13 +473,19 @@ def _opacities(scene: TracedObjects) -> Opacities:
 
 
 def _taken(
-    scene: TracedObjects, rays: Rays, opacities: Opacities
+    caster: Caster, rays: Rays, opacities: Opacities
 ) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
-    """Return the share of each ray's light that objects take, and the distance in metres of what takes most of it."""
+    """Return the share of each ray's light that the caster's objects take, and how far in metres what takes most is.
+
+    Light that another caster's objects take first is not theirs.
+    """
+    scene, is_own = caster.scene, np.zeros(len(caster.scene.objects), bool)
+    is_own[caster.object_ids] = True
     hits = scene.trace(rays.origin, rays.direction)
-    share, distance_m, ahead_m = np.empty_like(hits.distance_m), hits.distance_m, np.float32(scene.offset_m())
-    fill_taken(opacities, hits, share)
-    onward = np.flatnonzero((share < 1) & (hits.face >= 0))
+    taken, distance_m, ahead_m = np.empty_like(hits.distance_m), hits.distance_m, np.float32(scene.offset_m())
+    fill_taken(opacities, hits, taken)
+    left, share = 1 - taken, taken * is_own[scene.surfaces.object_id[hits.face]]
+    onward = np.flatnonzero((left > 0) & (hits.face >= 0))
     far_m = distance_m[onward]
     for _ in range(_MOST_LAYERS - 1):
         if len(onward) == 0:
@@ -488,11 +494,12 @@ def _taken(
         hits = scene.trace(rays.origin[onward] + far_m[:, None] * direction, direction)
         far_m, before, taken = far_m + hits.distance_m, share[onward], np.empty_like(hits.distance_m)
         fill_taken(opacities, hits, taken)
-        lost = (1 - before) * taken
+        lost = left[onward] * taken * is_own[scene.surfaces.object_id[hits.face]]
+        left[onward] *= 1 - taken
         share[onward] += lost
         distance_m[onward] = np.where(lost > before, far_m, distance_m[onward])
-        left = (hits.face >= 0) & (taken < 1)
-        onward, far_m = onward[left], far_m[left]
+        more = (hits.face >= 0) & (taken < 1)
+        onward, far_m = onward[more], far_m[more]
     return share, distance_m
 
 
