@@ -346,7 +346,8 @@ class Compositor:
                 return self._objects.moved(moves[0])
         self._built_at = matrices
         pairs = zip(self._placed, matrices, strict=True)
-        return TracedObjects([placed.object.geometry.transformed(matrix) for placed, matrix in pairs])
+        built = [placed.object.geometry.transformed(matrix) for placed, matrix in pairs]
+        return TracedObjects(built, like=self._objects)
 
     def _gain(self, frame: Frame) -> Gain:
         """Return the factors by which the recorded frame's radiance becomes that of the light."""

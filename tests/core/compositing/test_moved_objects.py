@@ -1,5 +1,7 @@
 """Objects that move together: rays, surfaces and light are those of a scene built anew."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -8,6 +10,7 @@ from shading_reference import moved
 from roomlight.compositing.light.lighting import LightSampler, ProbeSet
 from roomlight.compositing.objects.materials import diffuse, mirror
 from roomlight.compositing.objects.primitives import cube, plane, sphere
+from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.rendering.light_samples import light_samples
 from roomlight.compositing.rendering.tracer import TracedObjects
 
@@ -42,6 +45,17 @@ def test_moved_scene_is_a_scene_built_anew() -> None:
         assert_allclose(getattr(shifted.surfaces, name), getattr(built.surfaces, name), atol=1e-6)
     assert_array_equal(shifted.surfaces.object_id, built.surfaces.object_id)
     assert_allclose(shifted.bounds, built.bounds, atol=1e-6)
+
+
+def test_a_scene_built_anew_takes_the_textures_of_the_same_materials() -> None:
+    image = np.arange(192, dtype=np.uint8).reshape(8, 8, 3)
+    painted = [replace(diffuse(), base_colour_texture=Texture.from_srgb8(image + np.uint8(k))) for k in range(2)]
+    first = TracedObjects([sphere(0.2, painted[0]), cube(0.3, painted[1])])
+    same = TracedObjects([item.transformed(turned()) for item in first.objects], like=first.moved(turned()))
+    assert same.textures is first.textures
+    assert same.texture_means() is first.texture_means()
+    other = TracedObjects(first.objects[::-1], like=first)
+    assert_allclose(other.texture_means(), first.texture_means()[[1, 0, 2]])
 
 
 def test_a_turned_plate_shades_less_ground() -> None:

@@ -13,7 +13,7 @@ from roomlight.compositing.kernels.rigid import fill_open, grow_boxes, turn_vect
 from roomlight.compositing.kernels.surfaces import EMISSIVE
 from roomlight.compositing.objects.materials import Material, MaterialArrays, material_arrays
 from roomlight.compositing.objects.polygons import row_keys
-from roomlight.compositing.objects.textures import LEVELS
+from roomlight.compositing.objects.textures import LEVELS, TextureArrays
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.conventions import panorama_directions
 from roomlight.errors import ObjectError
@@ -74,8 +74,12 @@ class TracedObjects:
         bounds: [n, 2, 3] least and greatest corner of each object's box, in world metres; not to be written.
     """
 
-    def __init__(self, objects_in_world: Sequence[VirtualObject]) -> None:
+    def __init__(self, objects_in_world: Sequence[VirtualObject], *, like: "TracedObjects | None" = None) -> None:
         """Build the tree: 10 ms for 7,000 triangles, linear in their number.
+
+        Args:
+            objects_in_world: The objects.
+            like: Scene whose tables of materials and textures are taken if these objects have the same materials.
 
         Raises:
             ObjectError: There is no object, or more than `MAX_TRIANGLES` triangles.
@@ -90,8 +94,12 @@ class TracedObjects:
             )
         self.bounds = np.stack([item.bounds() for item in self.objects])
         self.bounds.setflags(write=False)
-        self.surfaces, materials = _flatten(self.objects)
-        self.materials, self.textures = material_arrays(materials)
+        self.surfaces, self._used = _flatten(self.objects)
+        if like is not None and [*map(id, self._used)] == [*map(id, like._used)]:
+            self.materials, self.textures, self._texture_means = like.materials, like.textures, like._texture_means
+        else:
+            self.materials, self.textures = material_arrays(self._used)
+            self._texture_means = _texture_means(self.textures)
         self._tree = RayTree(*_indexed(self.objects))
         self._shift: tuple[Float32[np.ndarray, "3 3"], Float32[np.ndarray, " 3"]] | None = None
         self._base: TracedObjects = self
@@ -141,16 +149,7 @@ class TracedObjects:
 
     def texture_means(self) -> Float32[np.ndarray, "t1 4"]:
         """Return the mean linear RGBA of each texture; the last row, which the index -1 reads, is opaque white."""
-        return self._base._texture_means
-
-    @cached_property
-    def _texture_means(self) -> Float32[np.ndarray, "t1 4"]:
-        table = self.textures
-        firsts = table.first[: len(table.first) // LEVELS]
-        ends = firsts + table.width[: len(firsts)].astype(np.int64) * table.height[: len(firsts)]
-        images = [table.texels[first:end] for first, end in zip(firsts, ends, strict=True)]
-        means = [image.mean(axis=0, dtype=np.float64) / 65535 for image in images]
-        return np.array([*means, np.ones(4)], np.float32)
+        return self._texture_means
 
     def materials_from(self, eye: Float[np.ndarray, " 3"], focal_px: float) -> MaterialArrays:
         """Return the materials with levels of their textures whose texels are about as large as pixels of a camera.
@@ -242,6 +241,14 @@ class TracedObjects:
             return origins, directions
         rotation, offset_m = self._shift
         return _turned(origins, rotation, offset_m), _turned(directions, rotation)
+
+
+def _texture_means(table: TextureArrays) -> Float32[np.ndarray, "t1 4"]:
+    firsts = table.first[: len(table.first) // LEVELS]
+    ends = firsts + table.width[: len(firsts)].astype(np.int64) * table.height[: len(firsts)]
+    images = [table.texels[first:end] for first, end in zip(firsts, ends, strict=True)]
+    means = [image.mean(axis=0, dtype=np.float64) / 65535 for image in images]
+    return np.array([*means, np.ones(4)], np.float32)
 
 
 def _turned(
