@@ -128,6 +128,18 @@ def test_reflected_light_conserves_a_white_furnace():
     assert ratio[grid.known].max() < 1.03
 
 
+def test_reflected_light_ends_where_shadows_end():
+    quality = ShadowQuality(step=1, samples=16, bounces=16)
+    dark, white = (
+        ratio_of(ball(lit(60, [], level=1.0), height=0.6, material=diffuse((albedo,) * 3)), quality)[0].mean(axis=-1)
+        for albedo in (0.0, 1.0)
+    )
+    _, grid = ratio_of(ball(lit(60, [], level=1.0)))
+    radii = np.linalg.norm(grid.points - np.float32([0, 0.6, 0]), axis=-1) / 0.2
+    rings = [(white - dark)[grid.known & (radii > begin) & (radii < begin + 0.2)].mean() for begin in (3.6, 4.2)]
+    assert rings[1] > 0.5 * rings[0] > 0
+
+
 @pytest.mark.parametrize(
     ("material", "left"),
     [(glass(tint=(0.9, 0.9, 0.9)), 0.9 * 0.96**2), (replace(diffuse((0.8, 0.8, 0.8)), opacity=0.3), 0.7**2)],
@@ -309,7 +321,7 @@ def test_ratios_around_a_ball_on_a_grey_floor_are_those_of_mitsuba(albedo, sides
 @pytest.mark.parametrize("place", ["wall", "floor"])
 def test_a_window_keeps_its_light_and_the_suns_patch_on_a_floor_does_not(place):
     toward = unit(0.3, 0.8, -0.5) if place == "wall" else unit(0.3, -0.05, 0.0)
-    shaded = ball(lit(120, [(toward, 12.0, 30.0)], level=0.3), height=0.8)
+    shaded = ball(lit(120, [(toward, 12.0, 30.0)], level=0.3), height=0.8, material=diffuse((0.0, 0.0, 0.0)))
     shaded.reflection.position = (0.0, 0.0, 0.0) if place == "wall" else (0.0, 0.05, 0.0)
     pose = camera_at((0.0, 0.8, 1.6)) if place == "wall" else POSE
     depth_m = np.full((120, 160), 2.1, np.float32) if place == "wall" else floor_depth()

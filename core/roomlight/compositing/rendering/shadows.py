@@ -56,9 +56,6 @@ from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight.conventions import direction_to_uv
 from roomlight.threads import parallel_for
 
-GLOW_REACH: Final = 4.0
-"""Objects that emit no light themselves light surfaces up to this distance from their centre, in radii of their
-bounding sphere."""
 SNAP_M: Final = 0.02
 SNAP_SHARE: Final = 0.01
 """Points this close to the plane that an object stands on are moved onto it: 2 cm and 1 % of the depth are noise."""
@@ -107,8 +104,8 @@ class ShadowQuality:
         samples: directions to the light from each of these pixels; a filtered pixel uses about 16 times as many.
         bounces: directions toward each object from each of these pixels; 0 leaves colour bleeding out.
         radius: of the filter, in computed pixels; 2 or 4, so that every subset counts the same.
-        reach: shadows fade out between 0.8 and 1 times this distance from an object's centre, in radii of its bounding
-            sphere. With 7 instead of 4 the error of shadows under the true light falls by a tenth: an object on a desk
+        reach: shadows and reflected light fade out between 0.8 and 1 times this distance from an object's centre, in
+            radii of its bounding sphere. With 7 instead of 4 the error of shadows under the true light falls by a tenth: an object on a desk
             shades the wall behind it.
         room_shade: whether real surfaces hide the strongest lamp.
     """
@@ -385,8 +382,7 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
     unblocked, irradiance = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     blocked, squares, nearness = np.zeros((count, 3), np.float32), *np.zeros((2, count), np.float32)
     bounced, inside = np.zeros((count, 3), np.float32), np.zeros(count, bool)
-    spheres, lift = caster.spheres, np.float32(LIFT_M)
-    reach = np.float32(quality.reach if caster.scene.materials.emissive.any() else GLOW_REACH)
+    spheres, lift, reach = caster.spheres, np.float32(LIFT_M), np.float32(quality.reach)
     numbers = subset_points(quality.bounces).astype(np.float32).reshape(TILE * TILE, quality.bounces, 2)
     of_lamp = np.zeros(light.directions.shape[:2], bool) if lamp is None else lamp.holds(light.directions)
     places = _light_places(caster, light)
