@@ -73,6 +73,14 @@ def test_glass_has_no_dark_dots_where_few_samples_miss_a_window() -> None:
     assert (few < 0.7 * whole).all(axis=2).sum() < 30
 
 
+def test_a_mirror_without_noise_counts_as_one_also_with_more_samples() -> None:
+    total, part = renderer._film(1), renderer._film(1)
+    part.doubt[:] = -0.0
+    for _ in range(2):
+        renderer._accumulate(total, part, 0.5)
+    assert np.signbit(total.doubt).all()
+
+
 def test_pixels_without_noise_get_the_least_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     """A mirror under smooth light needs all samples on its outline alone, a glossy sphere under lamps elsewhere too."""
     counts: list[int] = []

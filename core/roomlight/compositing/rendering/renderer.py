@@ -288,7 +288,9 @@ def _film(count: int, *, extra: bool = True) -> _Film:
     """Make an empty film; `extra`: with albedo and normals."""
     radiance, albedo, normal = (np.zeros((rows, 3), np.float32) for rows in (count, count * extra, count * extra))
     alpha, depth_m, doubt = np.zeros((3, count), np.float32)
-    return _Film(radiance, alpha, depth_m, np.full(count, -1, np.int32), albedo, normal, doubt)
+    return _Film(
+        radiance, alpha, depth_m, np.full(count, -1, np.int32), albedo, normal, -doubt
+    )  # -0.0: sums stay mirrors'
 
 
 def _paths(count: int) -> _Paths:

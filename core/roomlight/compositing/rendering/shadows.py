@@ -105,8 +105,8 @@ class ShadowQuality:
         bounces: directions toward each object from each of these pixels; 0 leaves colour bleeding out.
         radius: of the filter, in computed pixels; 2 or 4, so that every subset counts the same.
         reach: shadows and reflected light fade out between 0.8 and 1 times this distance from an object's centre, in
-            radii of its bounding sphere. With 7 instead of 4 the error of shadows under the true light falls by a tenth: an object on a desk
-            shades the wall behind it.
+            radii of its bounding sphere. With 7 instead of 4 the error of shadows under the true light falls by a
+            tenth: an object on a desk shades the wall behind it.
         room_shade: whether real surfaces hide the strongest lamp.
     """
 
