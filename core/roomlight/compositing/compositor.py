@@ -29,6 +29,7 @@ from roomlight.compositing.light.probes import GivenLight, ObjectProbes, given_l
 from roomlight.compositing.light.temporal import (
     SHADOW_S,
     DepthFilter,
+    Moment,
     ShadowHistory,
     elapsed_s,
     elapsed_since,
@@ -164,8 +165,8 @@ class Compositor:
         self._built_at: list[Float[np.ndarray, "4 4"]] = []
         self._camera, self._camera_age = CameraModel.perfect(), 0
         self._camera_shape: tuple[int, ...] = ()
-        self._first: Frame | None = None
-        self._before: Frame | None = None
+        self._first: Moment | None = None
+        self._before: Moment | None = None
         self._closed = False
         for scene_object in self.scene.objects:  # refuse bad places now, not at the first frame
             if not isinstance(scene_object.place, AtPixel):
@@ -230,7 +231,8 @@ class Compositor:
             depth_m = self._depth.push(frame, max_width=DEPTH_COLUMNS[self.quality])
         with clock.stage("combine"):
             image = encode_srgb8(frame.image)
-        self._first, self._before = self._first or given, given
+        self._before = Moment(given.timestamp_s, given.index)
+        self._first = self._first or self._before
         bare = Composite(
             image=image,
             frame=given,

@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import weakref
 from dataclasses import replace
 from typing import Any
 
@@ -262,6 +263,19 @@ def test_a_moving_object_changes_without_steps(session):
     steps = np.abs(np.diff(means)) / np.mean(means)
     assert steps.max() < 0.08
     assert np.ptp(means) > 0.001 * np.mean(means)  # but it does change
+
+
+def test_the_first_frame_is_not_kept_and_a_moving_object_leaves_materials_alone(session):
+    motion = Motion.model_validate({"unit": "frames", "keys": [{"at": 0}, {"at": 4, "offset_m": [-0.3, 0, 0]}]})
+    still = SceneObject("still", cube(0.2, mirror()), AtPosition((0.8, 0.0, -0.8)))
+    compositor = Compositor(session, [replace(BALL, motion=motion), still], quality="preview")
+    frames = [view(index=index) for index in range(2)]
+    first, tables = weakref.ref(frames[0].image), []
+    while frames:
+        compositor.composite(frames.pop(0))
+        tables.append(compositor._objects.materials)
+    assert tables[0] is tables[1]
+    assert first() is None
 
 
 def test_the_shadow_of_a_moving_object_is_where_the_object_is(session):

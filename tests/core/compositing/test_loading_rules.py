@@ -627,7 +627,7 @@ def test_of_surfaces_back_to_back_the_one_that_faces_the_camera_shows(overlap: f
     for side, part in ((1, 0), (-1, 1)):
         origins = np.stack([x, y, np.full_like(x, 3 * side)], axis=1)
         hits = scene.trace(origins, np.tile(np.float32([0, 0, -side]), (50, 1)))
-        assert set(scene.surfaces.part[hits.face]) == {part}
+        assert set(scene.surfaces.material[hits.face]) == {part}
 
 
 def test_draco_meshes_are_read() -> None:

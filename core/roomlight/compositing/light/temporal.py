@@ -5,7 +5,7 @@ before are reprojected into the new view first; where that view shows something 
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -39,14 +39,21 @@ def share_of(elapsed_s: float, constant_s: float) -> float:
     return 1.0 - float(np.exp(-max(elapsed_s, 0.0) / constant_s))
 
 
-def elapsed_since(first: Frame, frame: Frame) -> float:
+class Moment(NamedTuple):
+    """What is kept of a frame to tell how much later another one is."""
+
+    timestamp_s: float | None
+    index: int
+
+
+def elapsed_since(first: Moment | Frame, frame: Frame) -> float:
     """Return the seconds between two frames: by timestamps, else 1/30 s an index."""
     if first.timestamp_s is not None and frame.timestamp_s is not None:
         return frame.timestamp_s - first.timestamp_s
     return (frame.index - first.index) / DEFAULT_RATE
 
 
-def elapsed_s(before: Frame, frame: Frame) -> float:
+def elapsed_s(before: Moment | Frame, frame: Frame) -> float:
     """Return `elapsed_since`, at most 1 and at least 0."""
     return float(np.clip(elapsed_since(before, frame), 0.0, 1.0))
 

@@ -288,9 +288,8 @@ def _film(count: int, *, extra: bool = True) -> _Film:
     """Make an empty film; `extra`: with albedo and normals."""
     radiance, albedo, normal = (np.zeros((rows, 3), np.float32) for rows in (count, count * extra, count * extra))
     alpha, depth_m, doubt = np.zeros((3, count), np.float32)
-    return _Film(
-        radiance, alpha, depth_m, np.full(count, -1, np.int32), albedo, normal, -doubt
-    )  # -0.0: sums stay mirrors'
+    doubt = -doubt  # a sum of -0.0, which marks mirrors without noise, must not become 0.0
+    return _Film(radiance, alpha, depth_m, np.full(count, -1, np.int32), albedo, normal, doubt)
 
 
 def _paths(count: int) -> _Paths:

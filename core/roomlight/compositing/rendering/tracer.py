@@ -41,7 +41,6 @@ class Surfaces(NamedTuple):
     tangents: Float32[np.ndarray, "t 3 4"]
     material: Int32[np.ndarray, " f"]
     object_id: Int32[np.ndarray, " f"]
-    part: Int32[np.ndarray, " f"]
 
 
 class Emitters(NamedTuple):
@@ -275,7 +274,7 @@ def _flatten(objects: Sequence[VirtualObject]) -> tuple[Surfaces, list[Material]
     bent = any(material.normal_texture is not None for item in objects for _, material in item.parts)
     pieces: list[Surfaces] = []
     for index, item in enumerate(objects):
-        for number, (mesh, material) in enumerate(item.parts):
+        for mesh, material in item.parts:
             if id(material) not in rows:
                 rows[id(material)] = len(materials)
                 materials.append(material)
@@ -289,7 +288,6 @@ def _flatten(objects: Sequence[VirtualObject]) -> tuple[Surfaces, list[Material]
                     tangents=np.zeros((0, 3, 4), np.float32) if mesh.tangents is None else mesh.tangents[mesh.faces],
                     material=np.full(count, rows[id(material)], np.int32),
                     object_id=np.full(count, index, np.int32),
-                    part=np.full(count, number, np.int32),
                 )
             )
     joined = Surfaces(*(np.concatenate(column) for column in zip(*pieces, strict=True)))
