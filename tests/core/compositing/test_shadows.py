@@ -318,6 +318,19 @@ def test_ratios_around_a_ball_on_a_grey_floor_are_those_of_mitsuba(albedo, sides
             assert ratio[(beside > begin) & (beside < end)].mean() == pytest.approx(expected, abs=0.05)
 
 
+@pytest.mark.parametrize("quality", QUALITIES)
+def test_a_white_ball_under_a_lamp_is_as_dark_at_its_foot_as_in_path_tracing(quality):
+    """Path tracing of depth 8, floor of albedo 0.5: the mean at 0.3 radii from the point of contact."""
+    light = lit(120, [(unit(np.cos(np.radians(85)), np.sin(np.radians(85)), 0), 4.0, 60.0)], level=0.1)
+    up = panorama_directions(120)[..., 1:2] > 0
+    below = 0.5 * (0.1 + 60 * np.sin(np.radians(4)) ** 2 * np.sin(np.radians(85)))
+    held = ball(np.where(up, light, below).astype(np.float32), height=0.2)
+    ratio = shadow_ratio([held], floor_depth(), CAMERA, POSE, QUALITIES[quality])
+    grid = surface_grid(floor_depth(), CAMERA, POSE, [FLOOR])
+    foot = grid.known & (np.abs(np.hypot(grid.points[..., 0], grid.points[..., 2]) - 0.06) < 0.015)
+    assert ratio[foot].mean() == pytest.approx(0.07, abs=0.03)
+
+
 @pytest.mark.parametrize("place", ["wall", "floor"])
 def test_a_window_keeps_its_light_and_the_suns_patch_on_a_floor_does_not(place):
     toward = unit(0.3, 0.8, -0.5) if place == "wall" else unit(0.3, -0.05, 0.0)

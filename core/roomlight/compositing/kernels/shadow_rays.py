@@ -121,6 +121,9 @@ class Opacities(NamedTuple):
 
 _MOST_NEARER = np.float32(4.0)
 """Light of a near surface counts at most this much more than from the panorama's position."""
+_ON_GROUND_M = 0.02
+_FOOT = 0.5
+"""About this far from a point on the ground, in radii of `Ground.spheres`, objects see ground as shaded as there."""
 
 
 @njit(**JIT)
@@ -316,16 +319,28 @@ def _ground_seen(ground, p, d):
     return light_left(ground.spheres, n, p[0] + far * d[0], p[1] + far * d[1], p[2] + far * d[2])
 
 
+@njit(**JIT)
+def _origin_seen(ground, rays, p, distance_m):
+    """Return how much of the ground that an object sees is as shaded as a ray's origin there, 0 to 1."""
+    n, q, o = ground.normal, ground.point, rays.origin[p]
+    if abs((o[0] - q[0]) * n[0] + (o[1] - q[1]) * n[1] + (o[2] - q[2]) * n[2]) > _ON_GROUND_M:
+        return 0.0
+    far = distance_m / max(_FOOT * ground.spheres[rays.target[p], 3], 1e-6)
+    return math.exp(-min(far * far, 30.0))
+
+
 @njit(**CACHED, fastmath=True)
-def add_bounced(rays, face, distance, object_ids, looks, levels, ground, bounced):
+def add_bounced(rays, face, distance, object_ids, looks, levels, ground, taken, bounced):
     """Add the light that the met surfaces reflect, from prefiltered panoramas, to each ray's point.
 
-    The panorama shows the ground without the objects: what they see of it is reduced by the objects' own shade.
+    The panorama shows the ground without the objects: what they see of it is reduced by the objects' own shade: near
+    a ray's point by the point's, to which the object gives back a share of what it takes, else as under an even sky.
 
     Args:
         face: [n] triangle that each ray met, -1 for none.
         object_ids: [k] object of each target; a ray that meets another one is counted where it was aimed at that one.
         levels: [l, h, w, 3] panoramas, the last one irradiance / pi.
+        taken: [points] share of light that objects take.
         bounced: [points, 3] must begin at 0.
     """
     last = levels.shape[0] - 1
@@ -352,12 +367,16 @@ def add_bounced(rays, face, distance, object_ids, looks, levels, ground, bounced
             rays.origin[p, 2] + distance[p] * d[2],
         )
         row, column = _look_up(levels[last], x, y, z)
-        lost = 0.0
+        i, weight = rays.point[p], rays.weight[p, 0]
+        lost, near, left = 0.0, 0.0, 0.0
         if ground.known:
+            near, back = _origin_seen(ground, rays, p, distance[p]), 0.0
+            for k in range(3):
+                back += (looks.diffuse[m, k] + looks.shiny[m, k]) / 3 * taken[i]
+            left = near * (1 - taken[i]) * (1 + back)
             rise = x * up[0] + y * up[1] + z * up[2]
             aside = (x - (rise + 1) * up[0], y - (rise + 1) * up[1], z - (rise + 1) * up[2])  # down, and outward
-            lost = (1 - rise) / 2 * (1 - _ground_seen(ground, at, aside))
-        i, weight = rays.point[p], rays.weight[p, 0]
+            lost = (1 - rise) / 2 * (1 - left - (1 - near) * _ground_seen(ground, at, aside))
         for k in range(3):
             lit = max(levels[last, row, column, k] - lost * below[k], 0.0)
             bounced[i, k] += weight * (looks.diffuse[m, k] * lit + looks.emissive[m, k])
@@ -367,6 +386,6 @@ def add_bounced(rays, face, distance, object_ids, looks, levels, ground, bounced
         level = looks.level[m]
         row, column = _look_up(levels[level], turn[0], turn[1], turn[2])
         if ground.known and turn[0] * up[0] + turn[1] * up[1] + turn[2] * up[2] < 0:
-            weight *= _ground_seen(ground, at, turn)
+            weight *= left + (1 - near) * _ground_seen(ground, at, turn)
         for k in range(3):
             bounced[i, k] += weight * looks.shiny[m, k] * levels[level, row, column, k]

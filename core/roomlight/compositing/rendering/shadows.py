@@ -7,7 +7,7 @@ is in the way. The light has parallax: it comes from the room's surfaces in thes
 
 E_bounced is light that an object's hit surface reflects: diffuse by the panorama's irradiance there, metals by the
 panorama blurred as by a roughness of 0.3 or more. The panorama shows the support without the objects: what an object
-sees of it is reduced by the shade of a sphere as large as the object.
+sees of it is reduced by the shade of a sphere as large as the object, and close to a shaded point by the shade there.
 
 Every 4 x 4 pixels share 16 subsets of samples, fixed in time; a filter over the surface joins them, as far as each
 pixel's own samples disagree: borders of hard shadows stay sharp. World metres.
@@ -381,7 +381,7 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
     levels = caster.light.prefiltered
     unblocked, irradiance = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     blocked, squares, nearness = np.zeros((count, 3), np.float32), *np.zeros((2, count), np.float32)
-    bounced, inside = np.zeros((count, 3), np.float32), np.zeros(count, bool)
+    bounced, taken, inside = np.zeros((count, 3), np.float32), np.zeros(count, np.float32), np.zeros(count, bool)
     spheres, lift, reach = caster.spheres, np.float32(LIFT_M), np.float32(quality.reach)
     numbers = subset_points(quality.bounces).astype(np.float32).reshape(TILE * TILE, quality.bounces, 2)
     of_lamp = np.zeros(light.directions.shape[:2], bool) if lamp is None else lamp.holds(light.directions)
@@ -397,7 +397,9 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
             rays = _rays((stop - start) * quality.bounces * len(spheres), 1)
             met = _first(rays, object_rays(receivers, spheres, lift, numbers, reach, rays, start, stop))
             hits = caster.scene.trace(met.origin, met.direction)
-            add_bounced(met, hits.face, hits.distance_m, caster.object_ids, looks, levels, ground, bounced)
+            whole = np.maximum(unblocked[start:stop] @ _THIRDS, np.float32(1e-9))
+            taken[start:stop] = np.minimum(blocked[start:stop] @ _THIRDS / whole, 1)
+            add_bounced(met, hits.face, hits.distance_m, caster.object_ids, looks, levels, ground, taken, bounced)
             inside[start:stop] = _inside(caster.scene, receivers.points[start:stop], receivers.normals[start:stop])
 
     most = max(1, _BLOCK_RAYS // max(samples, quality.bounces * len(spheres)))
