@@ -5,7 +5,7 @@ before are reprojected into the new view first; where that view shows something 
 """
 
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import cv2
 import numpy as np
@@ -39,7 +39,8 @@ def share_of(elapsed_s: float, constant_s: float) -> float:
     return 1.0 - float(np.exp(-max(elapsed_s, 0.0) / constant_s))
 
 
-class Moment(NamedTuple):
+@dataclass(frozen=True)
+class Moment:
     """What is kept of a frame to tell how much later another one is."""
 
     timestamp_s: float | None

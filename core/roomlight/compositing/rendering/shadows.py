@@ -203,8 +203,9 @@ def shadow_ratio(
     grid = surface_grid(coarse_depth, coarse_camera, camera_to_world, supports)
     parts = [coarse_ratio(caster, grid, quality) for caster in casters]
     ratio = np.ones((*coarse_depth.shape, 3), np.float32)
-    for part, _ in parts:
-        ratio *= part
+    for part, _ in parts:  # each takes light of its own
+        ratio += part - 1
+    np.maximum(ratio, RATIO_RANGE[0], out=ratio)
     if smooth is not None:
         ratio = smooth(ratio, grid, coarse_depth, coarse_camera)
     out = spread_ratio(ratio, grid.known, coarse_depth, depth_m, step)
@@ -392,7 +393,7 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
         rays = _rays((stop - start) * samples, 3)
         arguments = (receivers, light, places, of_lamp, spheres, lift, levels[-1], unblocked, irradiance, rays)
         met = _first(rays, light_rays(*arguments, start, stop))
-        add_blocked(met, *_taken(caster, met, opacities), blocked, squares, nearness)
+        add_blocked(met, *_taken(caster, met, opacities, quality.reach), blocked, squares, nearness)
         if quality.bounces:
             rays = _rays((stop - start) * quality.bounces * len(spheres), 1)
             met = _first(rays, object_rays(receivers, spheres, lift, numbers, reach, rays, start, stop))
@@ -471,18 +472,17 @@ def _opacities(scene: TracedObjects) -> Opacities:
 
 
 def _taken(
-    caster: Caster, rays: Rays, opacities: Opacities
+    caster: Caster, rays: Rays, opacities: Opacities, reach: float
 ) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
     """Return the share of each ray's light that the caster's objects take, and how far in metres what takes most is.
 
     Light that another caster's objects take first is not theirs.
     """
-    scene, is_own = caster.scene, np.zeros(len(caster.scene.objects), bool)
-    is_own[caster.object_ids] = True
+    scene = caster.scene
     hits = scene.trace(rays.origin, rays.direction)
     taken, distance_m, ahead_m = np.empty_like(hits.distance_m), hits.distance_m, np.float32(scene.offset_m())
     fill_taken(opacities, hits, taken)
-    left, share = 1 - taken, taken * is_own[scene.surfaces.object_id[hits.face]]
+    left, share = 1 - taken, taken * _own(caster, rays.origin, hits.face, reach)
     onward = np.flatnonzero((left > 0) & (hits.face >= 0))
     far_m = distance_m[onward]
     for _ in range(_MOST_LAYERS - 1):
@@ -492,13 +492,26 @@ def _taken(
         hits = scene.trace(rays.origin[onward] + far_m[:, None] * direction, direction)
         far_m, before, taken = far_m + hits.distance_m, share[onward], np.empty_like(hits.distance_m)
         fill_taken(opacities, hits, taken)
-        lost = left[onward] * taken * is_own[scene.surfaces.object_id[hits.face]]
+        lost = left[onward] * taken * _own(caster, rays.origin[onward], hits.face, reach)
         left[onward] *= 1 - taken
         share[onward] += lost
         distance_m[onward] = np.where(lost > before, far_m, distance_m[onward])
         more = (hits.face >= 0) & (taken < 1)
         onward, far_m = onward[more], far_m[more]
     return share, distance_m
+
+
+def _own(
+    caster: Caster, points: Float32[np.ndarray, "n 3"], face: Int[np.ndarray, " n"], reach: float
+) -> Float32[np.ndarray, " n"]:
+    """Return how far a caster counts what takes light from points: others' objects where their shadows fade out."""
+    met = caster.scene.surfaces.object_id[face]
+    own = np.isin(met, caster.object_ids).astype(np.float32)
+    other = np.flatnonzero((own == 0) & (face >= 0))
+    low, high = caster.scene.bounds[met[other]].swapaxes(0, 1)
+    far = np.linalg.norm(2 * points[other] - low - high, axis=1) / (reach * np.linalg.norm(high - low, axis=1))
+    own[other] = 1 - np.clip((1 - far) / 0.2, 0, 1)
+    return own
 
 
 def _light_places(caster: Caster, light: LightSamples) -> LightPlaces:
