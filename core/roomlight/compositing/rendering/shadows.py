@@ -401,7 +401,8 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
             whole = np.maximum(unblocked[start:stop] @ _THIRDS, np.float32(1e-9))
             taken[start:stop] = np.minimum(blocked[start:stop] @ _THIRDS / whole, 1)
             add_bounced(met, hits.face, hits.distance_m, caster.object_ids, looks, levels, ground, taken, bounced)
-            inside[start:stop] = _inside(caster.scene, receivers.points[start:stop], receivers.normals[start:stop])
+            dark = start + np.flatnonzero(taken[start:stop] > 0.5)  # objects take most light of a point inside them
+            inside[dark] = _inside(caster.scene, receivers.points[dark], receivers.normals[dark])
 
     most = max(1, _BLOCK_RAYS // max(samples, quality.bounces * len(spheres)))
     parallel_for(work, count, pieces_per_thread=2, most=most)
@@ -505,6 +506,8 @@ def _own(
     caster: Caster, points: Float32[np.ndarray, "n 3"], face: Int[np.ndarray, " n"], reach: float
 ) -> Float32[np.ndarray, " n"]:
     """Return how far a caster counts what takes light from points: others' objects where their shadows fade out."""
+    if len(caster.object_ids) == len(caster.scene.objects):
+        return np.ones(len(face), np.float32)
     met = caster.scene.surfaces.object_id[face]
     own = np.isin(met, caster.object_ids).astype(np.float32)
     other = np.flatnonzero((own == 0) & (face >= 0))
