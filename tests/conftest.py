@@ -81,6 +81,13 @@ def _compile_once() -> None:
 
 _compile_once()
 
+from roomlight.threads import core_count  # noqa: E402 - after the hook
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Start a worker more than there are cores: for a fifth of the time tests wait, for sockets and for kernels."""
+    return core_count() + 1
+
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:

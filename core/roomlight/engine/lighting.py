@@ -94,7 +94,7 @@ class ProbeLightSource:
 
     Attributes:
         state: a copy that later frames do not change (`PanoramaState.for_lighting`).
-        tracked: the main lights in `state`; None at a point that is not tracked: they are looked for in each panorama.
+        tracked: the main lights in `state`; None at a point that is not tracked: they are looked for in it.
         load: returns the network.
     """
 
@@ -105,12 +105,11 @@ class ProbeLightSource:
     def panorama(self, use: LightUse) -> LightPanorama:
         """Return the estimate as what is seen, or run the network for what lights things."""
         estimate = self.state.radiance
-        panorama = estimate if use == "reflection" else self.load().panorama(self.state)
-        if self.tracked is None:
-            lights = likely_lights(panorama, self.state.observed)
-        else:
-            lights = self.tracked if use == "reflection" else relit(self.tracked, before=estimate, after=panorama)
-        return LightPanorama(panorama, lights)
+        lights = self.tracked or likely_lights(estimate, self.state.observed)
+        if use == "reflection":
+            return LightPanorama(estimate, lights)
+        lighting = self.load().panorama(self.state)
+        return LightPanorama(lighting, relit(lights, before=estimate, after=lighting))
 
     def digest(self) -> str:
         """Hash the network and its input."""
