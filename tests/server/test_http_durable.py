@@ -308,8 +308,8 @@ def test_an_error_of_saving_is_stated_and_does_not_end_it(tmp_path, monkeypatch,
         assert server.call("GET", "/readyz").json["state"] == "saved"
 
 
-def test_frames_do_not_wait_for_the_disk(tmp_path, monkeypatch):
-    """A copy of their session waited behind the writes of two others, and they for the copy."""
+def test_nobody_waits_for_a_slow_disk(tmp_path, monkeypatch):
+    """Frames waited for a copy of their session, and lists and new sessions, behind the writes of two others."""
     slow = []
     write = Held(store.write_session, lambda *_: slow)
     monkeypatch.setattr(store, "write_session", write)
@@ -324,8 +324,10 @@ def test_frames_do_not_wait_for_the_disk(tmp_path, monkeypatch):
         server.push(0)
         server.wait_until(lambda: ("anyone", "room") in server.app.state.context.states._saving)
         assert server.push(1).json["status"] == "processed"
+        server.open("another")
+        assert len(server.call("GET", "/v1/sessions").json["sessions"]) == 4
         slow.clear()
-        write.release(3)
+        write.release(4)
 
 
 @pytest.mark.slow

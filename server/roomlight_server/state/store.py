@@ -99,6 +99,7 @@ class StateStore:
         self._lock_file = _locked(root, self._root, shared)
         self._fence = Fence(root) if shared else None
         self._fence_pool = ThreadPoolExecutor(4, thread_name_prefix="fence")  # not behind writes, which take 0.1 s
+        self._read_pool = ThreadPoolExecutor(2, thread_name_prefix="read")
         self._next_lease_check_s = clock() + LEASE_PERIOD_S
 
     # --- saving -----------------------------------------------------------------------------------------------
@@ -200,7 +201,7 @@ class StateStore:
                 _log.error("%d sessions were not saved: %s", unsaved, self.failing or "no time was left")
         for (owner, _), live in sessions():
             self.left_memory(owner, live)
-        for pool in (self._copy_pool, self._pool):
+        for pool in (self._copy_pool, self._read_pool, self._pool):
             await asyncio.to_thread(pool.shutdown, wait=True, cancel_futures=True)
         await asyncio.to_thread(self._fence_pool.shutdown, wait=True)
         os.close(self._lock_file)
@@ -242,7 +243,7 @@ class StateStore:
 
     async def listed(self, owner: str) -> list[SavedHead]:
         """Return the sessions of an owner that are on disk, those in memory too; last used first."""
-        return await self._in_thread(self._list.of, digest_of_owner(owner))
+        return await self._in_thread(self._list.of, digest_of_owner(owner), pool=self._read_pool)
 
     def lock(self, owner: str, name: str) -> asyncio.Lock:
         """Return the lock of a session's folder: one of saving, restoring and erasing at a time."""
@@ -254,7 +255,8 @@ class StateStore:
     async def read(self, owner: str, name: str) -> Reading:
         """Read a saved session. Raises ProblemError if the state cannot be used (409), or not be read now (503)."""
         try:
-            return await self._in_thread(read_session, self._folder(owner, name), digest_of_owner(owner), name)
+            arguments = (self._folder(owner, name), digest_of_owner(owner), name)
+            return await self._in_thread(read_session, *arguments, pool=self._read_pool)
         except StateError as error:
             raise refused(error, name) from error
         except OSError as error:
@@ -338,8 +340,8 @@ class StateStore:
     def _folder(self, owner: str, name: str) -> Path:
         return self._root / hashlib.sha256(f"{digest_of_owner(owner)}/{name}".encode()).hexdigest()[:32]
 
-    async def _in_thread(self, work: Callable[..., _R], *args: object) -> _R:
-        return await asyncio.get_running_loop().run_in_executor(self._pool, work, *args)
+    async def _in_thread(self, work: Callable[..., _R], *args: object, pool: ThreadPoolExecutor | None = None) -> _R:
+        return await asyncio.get_running_loop().run_in_executor(pool or self._pool, work, *args)
 
 
 def _unsaved(sessions: Sessions) -> list[tuple[tuple[str, str], Saveable, Journal]]:
