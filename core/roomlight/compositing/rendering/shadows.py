@@ -505,7 +505,10 @@ def _taken(
 def _own(
     caster: Caster, points: Float32[np.ndarray, "n 3"], face: Int[np.ndarray, " n"], reach: float
 ) -> Float32[np.ndarray, " n"]:
-    """Return how far a caster counts what takes light from points: others' objects where their shadows fade out."""
+    """Return the share of the light that met triangles take which is a caster's.
+
+    All of it for the caster's own objects; for others' what those leave out where their shadows fade out.
+    """
     if len(caster.object_ids) == len(caster.scene.objects):
         return np.ones(len(face), np.float32)
     met = caster.scene.surfaces.object_id[face]
@@ -513,7 +516,7 @@ def _own(
     other = np.flatnonzero((own == 0) & (face >= 0))
     low, high = caster.scene.bounds[met[other]].swapaxes(0, 1)
     far = np.linalg.norm(2 * points[other] - low - high, axis=1) / (reach * np.linalg.norm(high - low, axis=1))
-    own[other] = 1 - np.clip((1 - far) / 0.2, 0, 1)
+    own[other] = 1 - _near(far)
     return own
 
 
@@ -566,5 +569,10 @@ def _fade(spheres: Float[np.ndarray, "k 4"], grid: SurfaceGrid, reach: float) ->
     for x, y, z, radius in spheres:
         offset = grid.points - np.array([x, y, z], np.float32)
         far = np.sqrt(np.einsum("hwc,hwc->hw", offset, offset)) / np.float32(reach * radius)
-        fade = np.maximum(fade, np.clip((1 - far) / np.float32(0.2), 0, 1))
+        fade = np.maximum(fade, _near(far))
     return fade
+
+
+def _near(far: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Return 1 up to 0.8 of an object's reach and 0 from 1 on."""
+    return np.clip((1 - far) / np.float32(0.2), 0, 1)
