@@ -74,6 +74,15 @@ def test_points_on_a_support_stay_on_their_lines_of_sight():
     assert np.linalg.norm(grid.points - truth, axis=-1)[snapped].max() < 1e-3
 
 
+def test_a_support_is_flat_where_a_sensor_measures_in_steps():
+    near, camera = camera_at((0.0, 0.7, 0.7), pitch_degrees=-45), CropCamera.of(pinhole(120, 90, 13.0))  # 1.9 mm
+    exact = 0.7 / -(camera.rays().astype(np.float64) @ near[:3, :3].T)[..., 1]
+    patches = np.kron(np.random.default_rng(1).integers(-1, 2, (30, 40)), np.ones((3, 3)))
+    depth_m = (0.0036 * (np.round(exact / 0.0036) + patches)).astype(np.float32)  # a Kinect's at 1 m
+    grid = surface_grid(depth_m, camera, near, [FLOOR])
+    assert np.abs(grid.points[grid.known, 1]).max() < 1e-4
+
+
 def test_umbra_of_a_small_light_is_the_analytic_one():
     toward, angle = unit(0.35, 1.0, 0.2), np.radians(3.0)
     panorama = lit(240, [(toward, 3.0, 100.0)], level=0.0)

@@ -29,6 +29,31 @@ def fill_points(depth, lens, camera_to_world, out, start, stop):
                 out[i, j, axis] = far * (m[axis, 0] * x + m[axis, 1] * y - m[axis, 2]) + m[axis, 3]
 
 
+_WIDE = 5
+"""Pixels to each side that tell the normal of a plane where the next ones do not."""
+
+
+@njit(**CACHED, fastmath=True)
+def _normal(raw, i, j, reach):
+    """Return the unit normal of world positions [h, w, 3] at a pixel, by those `reach` pixels to each side."""
+    height, width = raw.shape[:2]
+    above, below = max(i - reach, 0), min(i + reach, height - 1)
+    left, right = max(j - reach, 0), min(j + reach, width - 1)
+    ax, ay, az = (
+        raw[i, right, 0] - raw[i, left, 0],
+        raw[i, right, 1] - raw[i, left, 1],
+        raw[i, right, 2] - raw[i, left, 2],
+    )
+    bx, by, bz = (
+        raw[above, j, 0] - raw[below, j, 0],
+        raw[above, j, 1] - raw[below, j, 1],
+        raw[above, j, 2] - raw[below, j, 2],
+    )
+    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    scale = np.float32(1) / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-12))
+    return x * scale, y * scale, z * scale
+
+
 @njit(**CACHED, fastmath=True)
 def fill_surfaces(raw, depth, eye, planes, tolerance, points, normals, start, stop):
     """Fill normals of rows start..stop by differences of neighbours, and move points near a plane onto it.
@@ -44,30 +69,22 @@ def fill_surfaces(raw, depth, eye, planes, tolerance, points, normals, start, st
         tolerance: distance from a plane that counts as noise: metres, and share of the depth.
         points, normals: [h, w, 3] out.
     """
-    height, width = depth.shape
+    width = depth.shape[1]
     for i in range(start, stop):
-        above, below = max(i - 1, 0), min(i + 1, height - 1)
         for j in range(width):
-            left, right = max(j - 1, 0), min(j + 1, width - 1)
-            ax, ay, az = (
-                raw[i, right, 0] - raw[i, left, 0],
-                raw[i, right, 1] - raw[i, left, 1],
-                raw[i, right, 2] - raw[i, left, 2],
-            )
-            bx, by, bz = (
-                raw[above, j, 0] - raw[below, j, 0],
-                raw[above, j, 1] - raw[below, j, 1],
-                raw[above, j, 2] - raw[below, j, 2],
-            )
-            x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-            scale = np.float32(1) / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-12))
-            x, y, z = x * scale, y * scale, z * scale
+            x, y, z = _normal(raw, i, j, 1)
             px, py, pz = raw[i, j, 0], raw[i, j, 1], raw[i, j, 2]
             near = tolerance[0] + tolerance[1] * depth[i, j]
             for k in range(planes.shape[0]):
                 n, q = planes[k, 1], planes[k, 0]
                 rise = (px - q[0]) * n[0] + (py - q[1]) * n[1] + (pz - q[2]) * n[2]
-                if abs(rise) < near and x * n[0] + y * n[1] + z * n[2] > np.float32(0.7):
+                if abs(rise) >= near:
+                    continue
+                flat = x * n[0] + y * n[1] + z * n[2] > np.float32(0.7)
+                if not flat:  # a sensor's steps of depth tilt neighbours
+                    wx, wy, wz = _normal(raw, i, j, _WIDE)
+                    flat = wx * n[0] + wy * n[1] + wz * n[2] > np.float32(0.7)
+                if flat:
                     above_eye = (eye[0] - q[0]) * n[0] + (eye[1] - q[1]) * n[1] + (eye[2] - q[2]) * n[2]
                     fall = above_eye - rise
                     if abs(fall) > np.float32(0.05):
