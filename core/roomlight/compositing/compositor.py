@@ -47,6 +47,7 @@ from roomlight.compositing.picture.occlusion import (
     real_depth,
     visibility,
     visible_shares,
+    without_islands,
 )
 from roomlight.compositing.picture.stage_clock import StageClock
 from roomlight.compositing.placed_object import (
@@ -480,6 +481,8 @@ class Compositor:
         carrier = on_carrier(real, camera, frame.camera_to_world, posed.supports, object_id)
         guide = image[crop.slices].astype(np.float32) / np.float32(255)
         visible = visibility(rendered.depth_m[crop.slices], real, guide, carrier)
+        if frame.depth_estimated:
+            visible = without_islands(visible, object_id >= 0)
         layer = np.empty((*crop.shape, 4), np.float32)
         layer[..., :3] = rendered.radiance[crop.slices] * visible[..., None]
         layer[..., 3] = rendered.alpha[crop.slices] * visible

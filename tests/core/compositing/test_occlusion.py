@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from roomlight.compositing.picture.crop import Crop, CropCamera
-from roomlight.compositing.picture.occlusion import RealDepth, depth_edges, on_carrier, real_depth, visibility
+from roomlight.compositing.picture.occlusion import (
+    RealDepth,
+    depth_edges,
+    on_carrier,
+    real_depth,
+    visibility,
+    without_islands,
+)
 from roomlight.compositing.placement.places import Plane
 from rooms import camera_at, pinhole
 
@@ -38,6 +45,18 @@ def test_full_depth_hides_exactly():
     assert seen[60, 50] == 0
     unknown = real_depth(np.zeros((30, 40), np.float32), 160, 120, WHOLE)
     assert (visibility(whole, unknown, guide_with_edge()) == 1).all()
+
+
+def test_what_hides_an_object_reaches_its_outline_or_the_edge_of_the_image():
+    visible, covered = np.ones((40, 60), np.float32), np.zeros((40, 60), bool)
+    covered[:, 10:50] = True
+    visible[10:14, 20:30] = 0  # an island
+    visible[20:24, 30:50] = 0
+    visible[36:, 20:30] = 0
+    visible[~covered] = 1
+    expected = visible.copy()
+    expected[10:14, 20:30] = 1
+    assert (without_islands(visible, covered) == expected).all()
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.015])

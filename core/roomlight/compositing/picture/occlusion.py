@@ -137,6 +137,22 @@ def visibility(
     return out.astype(np.float32)
 
 
+def without_islands(
+    visible: Float32[np.ndarray, "h w"], covered: Bool[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w"]:
+    """Return visibility without hidden parts that the objects surround: what hides them rests or hangs somewhere.
+
+    Args:
+        visible: 0 hidden to 1 in front.
+        covered: where objects are; beyond the image's edge they may end.
+    """
+    count, labels = cv2.connectedComponents((visible < 1).astype(np.uint8))
+    ends = cv2.dilate((~np.pad(covered, 1)).astype(np.uint8), np.ones((5, 5), np.uint8))[1:-1, 1:-1] > 0
+    rests = np.zeros(count, bool)
+    rests[labels[ends]] = True
+    return np.where(rests[labels], visible, np.float32(1))
+
+
 def on_carrier(
     real: RealDepth,
     camera: CropCamera,
