@@ -326,6 +326,19 @@ def test_depth_of_colmaps_dense_folder_is_read_with_its_images(tmp_path: Path) -
     assert any("dense/0/ lacks" in note.effect for note in open_capture(path).notes)
 
 
+@pytest.mark.parametrize(("name", "folder"), [("colmap", "sparse/0"), ("dense", "sparse")])
+def test_a_colmap_recording_may_be_called_as_its_parts_are(tmp_path: Path, name: str, folder: str) -> None:
+    path = formats.colmap(tmp_path / "scene" / name, VIEWS)
+    if folder == "sparse":
+        for file in ("cameras.bin", "images.bin"):
+            (path / "sparse/0" / file).rename(path / "sparse" / file)
+    same_views(open_capture(path.parent, CaptureOptions(depth="file")), VIEWS, depth_atol=1e-6)
+    formats.tum(path.parent / "other", VIEWS)
+    refused(path.parent, rf"holds 2 captures \({name}, other\)", error=UnknownFormatError)
+    formats.colmap_files(path.parent, VIEWS)
+    assert first_of(path.parent).source == f"{path.parent}/images/frame_00001.png"
+
+
 @pytest.mark.parametrize("opened", ["sparse/0", "sparse"])
 def test_a_colmap_model_is_read_with_the_pictures_above_it(tmp_path: Path, opened: str) -> None:
     path = formats.colmap(tmp_path / "capture", VIEWS[:2])

@@ -48,9 +48,7 @@ _DEPTH: Final = (
     "dense/stereo/depth_maps",
     "dense/0/stereo/depth_maps",
 )
-_PICTURES: Final = (
-    *("images", "images_2", "images_4", "images_8", "colmap/images", "dense/images", "resized_images", "input"),
-)
+_PICTURES: Final = ("images", "images_2", "images_4", "images_8", "resized_images", "input")
 _OF_MODELS: Final = (".bin", ".txt", ".ply", ".ini")
 _FITS: Final = "depth_params.json"
 _PRISM: Final = ("s0", "s1", "s2", "s3")
@@ -93,9 +91,15 @@ class _Image:
 
 
 def model_folder(source: FolderSource, *folders: str) -> str | None:
-    """Return the first of these folders that holds a model, by default of `FOLDERS`; None without one."""
+    """Return the first of these folders that holds a model, by default of `FOLDERS`; None without one.
+
+    By default, a folder `colmap` or `dense` that alone holds the pictures too is a capture of its own.
+    """
     for folder in folders or FOLDERS:
         prefix = f"{folder}/" if folder else ""
+        top = folder.partition("/")[0]
+        if not folders and top in ("colmap", "dense") and source.has(f"{top}/images") and not source.has("images"):
+            continue
         if any(source.has(f"{prefix}cameras.{end}") and source.has(f"{prefix}images.{end}") for end in ("bin", "txt")):
             return folder
     return None
