@@ -313,6 +313,19 @@ class FolderSource:
         for entry in entries:
             yield f"{folder}/{entry}" if folder else entry
 
+    def holds_files(self, folder: str) -> bool:
+        """Whether a folder or one below it has a file that is not hidden (`.DS_Store`).
+
+        A folder that cannot be read counts, so that reading a file of it reports an error.
+        """
+        try:
+            path = self.root / self.actual(folder)
+        except FrameError:  # several folders fit
+            return True
+        walk = os.walk(path, followlinks=self._follows)
+        is_filled = any(name[0] != "." for _, _, names in walk for name in names)
+        return is_filled or (self.has(folder) and not os.access(path, os.R_OK))
+
     def read(self, name: str, *, max_bytes: int = MAX_FILE_BYTES) -> bytes:
         """Read a file. Raises FrameError if it is missing, empty, too large or outside the folder."""
         path = self.path(name, max_bytes=max_bytes)

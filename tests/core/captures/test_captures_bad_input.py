@@ -12,6 +12,7 @@ import cv2
 import formats
 import numpy as np
 import pytest
+import tool_formats
 from builders import BUILDERS
 from capture_checks import edit, first_of, one_skipped, refused, unreadable
 from PIL import Image
@@ -233,6 +234,15 @@ def test_links_may_lead_only_inside_the_folder(transforms: Path) -> None:
     target.unlink()
     target.symlink_to(outside)
     one_skipped(transforms, 2, "leads out of the folder")
+
+
+def test_a_folder_of_depth_that_is_a_broken_link_is_no_recording_without_depth(tmp_path: Path) -> None:
+    path = tool_formats.scannet_frames(tmp_path / "capture", VIEWS)
+    (path / "depth").rename(tmp_path / "depth")
+    (path / "depth").symlink_to(tmp_path / "unplugged")
+    unreadable(path, r"depth/0\.png: cannot be read")
+    (tmp_path / "depth").rename(tmp_path / "unplugged")
+    assert not first_of(path).depth_estimated
 
 
 def test_an_index_or_a_probe_that_leads_out_refuses_the_capture(transforms: Path) -> None:

@@ -33,8 +33,11 @@ def model(tmp_path: Path) -> Path:
     return write_depth_model(tmp_path / "metric.onnx", {"depth": truth[None]})
 
 
-def without_depth(name: str, folder: Path) -> Path:
-    """Return a capture of a layout without its files of depth, and without a word of them in its index."""
+def without_depth(name: str, folder: Path, *, emptied: bool = False) -> Path:
+    """Return a capture of a layout without its files of depth, and without a word of them in its index.
+
+    Folders of depth that are `emptied` stay, with an empty folder and what macOS leaves.
+    """
     if name == "ros-bag":
         return tool_formats.ros2_bag(folder, tool_formats.ros_messages(VIEWS, without="aligned_depth"))
     path = BUILDERS[name](folder, VIEWS)
@@ -42,7 +45,10 @@ def without_depth(name: str, folder: Path) -> Path:
         members = formats.record3d_members(VIEWS)
         formats.zipped(path, {name: members[name] for name in members if not name.endswith((".depth", ".conf"))})
     for file in sorted(path.rglob("*depth*")):
-        shutil.rmtree(file) if file.is_dir() else file.unlink(missing_ok=True)
+        was_folder = file.is_dir()
+        shutil.rmtree(file) if was_folder else file.unlink(missing_ok=True)
+        if emptied and was_folder:
+            formats.save(file / "camera_1/.DS_Store", b"Bud1")
     for index in (path / "capture.json", path / "transforms.json"):
         if index.exists():
             edit(index, lambda stated: [f.pop(key) for f in stated["frames"] for key in list(f) if "depth" in key])
@@ -50,10 +56,11 @@ def without_depth(name: str, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", [name for name in BUILDERS if name != "scannet"])  # a .sens always has depth
-def test_a_recording_without_depth_gets_it_estimated_and_says_so(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("emptied", [False, True])
+def test_a_recording_without_depth_gets_it_estimated_and_says_so(tmp_path: Path, name: str, emptied: bool) -> None:
     seen = cv2.resize(VIEWS[0].depth_m, SIZE[::-1])
     model = write_depth_model(tmp_path / "metric.onnx", {"depth": seen[None]})
-    path = without_depth(name, tmp_path / "recording")
+    path = without_depth(name, tmp_path / "recording", emptied=emptied)
     capture = open_capture(path, CaptureOptions(depth_model=model))
     frames = list(capture)
     assert len(frames) == len(VIEWS)

@@ -44,7 +44,7 @@ class ArkitScenesReader(ListedReader):
         self._pictures = first_folder(source, *_PICTURES)
         self._depth = first_folder(source, "lowres_depth", *(["highres_depth"] if self._pictures == "wide" else []))
         colour = files_of(source, self._pictures, (".png", ".jpg"))
-        super().__init__(folder, options, colour, expected=f"{' or '.join(_PICTURES)}/*.png")
+        super().__init__(folder, options, colour, expected=f"{' or '.join(_PICTURES)}/*.png", depth=self._depth)
         label = source.label(TRAJECTORY)
         self._poses = fields.parsed_lines(read_index(source, TRAJECTORY), label, _timed_pose, self.notes)
         self._poses.sort(key=lambda pose: pose[0])
@@ -61,7 +61,7 @@ class ArkitScenesReader(ListedReader):
     def _read(self, index: int) -> RawFrame:
         colour_name, label = self._colour[index], self.name_of(index)
         file = f"{Path(colour_name).stem}.png"
-        depth_name = f"{self._depth}/{file}" if self._reads_depth and self._source.has(self._depth) else None
+        depth_name = f"{self._depth}/{file}" if self._reads_depth else None
         with fields.naming(label, FrameError):
             time_s = _time_of(colour_name)
             if time_s is None:

@@ -129,7 +129,7 @@ class ColmapReader(ListedReader):
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
         opened, (folder, stated) = folder, _workspace(folder)
         source = FolderSource(folder)
-        self._depth = next((name for name in _DEPTH if next(iter(source.names(name)), None)), None)
+        self._depth = next(filter(source.holds_files, _DEPTH), None)
         self._base, lacking = "", list[Note]()
         if stated is not None:
             text = f"pictures and depth are read from {folder}"

@@ -23,15 +23,20 @@ ARKIT = PoseConventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
 
 
 class ListedReader:
-    """Base of readers whose records are names of colour files in a folder; a format implements `_read`."""
+    """Base of readers whose records are names of colour files in a folder; a format implements `_read`.
+
+    A folder of `depth` without a file counts as none: depth is then estimated.
+    """
 
     format = ""
     conventions = ARKIT
 
-    def __init__(self, folder: Path, options: CaptureOptions, colour: list[str], *, expected: str) -> None:
+    def __init__(
+        self, folder: Path, options: CaptureOptions, colour: list[str], *, expected: str, depth: str | None = None
+    ) -> None:
         self._source = FolderSource(folder)
         self._unit_m = options.depth_unit_m
-        self._reads_depth = options.depth != "network"
+        self._reads_depth = options.depth != "network" and (depth is None or self._source.holds_files(depth))
         self._colour = colour
         self.probes: list[RawProbe] = []
         self.notes: list[Note] = []

@@ -57,7 +57,7 @@ class PolycamReader(ListedReader):
         if not files_of(source, self._cameras, (".json",)):
             text = f"{source.label(self._cameras)}: has no camera of the pictures in {images}"
             raise CaptureError(f"{text}; export Polycam's raw data again")
-        super().__init__(folder, options, colour, expected="keyframes/images/TIME.jpg")
+        super().__init__(folder, options, colour, expected="keyframes/images/TIME.jpg", depth=f"{self._root}depth")
         self._border_noted = False
         corrected = f"{self._root}corrected_cameras"
         self._poses = corrected if files_of(source, corrected, (".json",)) else self._cameras
@@ -75,8 +75,7 @@ class PolycamReader(ListedReader):
         colour_name = self._colour[index]
         stem = Path(colour_name).stem
         camera_name, pose_name = (f"{folder}/{stem}.json" for folder in (self._cameras, self._poses))
-        has_depth = self._reads_depth and self._source.has(f"{self._root}depth")
-        depth_name = f"{self._root}depth/{stem}.png" if has_depth else None
+        depth_name = f"{self._root}depth/{stem}.png" if self._reads_depth else None
         camera = self._json(camera_name)
         placed = camera if pose_name == camera_name else self._json(pose_name)
         self._note_segments(pose_name, placed)

@@ -57,7 +57,7 @@ class RtabmapReader(ListedReader):
         if prefix is None or poses_name is None:
             raise CaptureError(f"{folder}: has no rgb, calib and camera_poses.txt of rtabmap-export")
         colour = files_of(source, f"{prefix}rgb", (".jpg", ".jpeg", ".png"))
-        super().__init__(folder, options, colour, expected=f"{prefix}rgb/*.jpg")
+        super().__init__(folder, options, colour, expected=f"{prefix}rgb/*.jpg", depth=f"{prefix}depth")
         self._prefix, self._robot = prefix, not poses_name.endswith(_CAMERA_POSES)
         self._distortion_noted = False
         self._by_number: dict[int, tuple[float, Float[np.ndarray, "4 4"] | str]] = {}
@@ -110,8 +110,7 @@ class RtabmapReader(ListedReader):
             if isinstance(node[1], str):
                 raise ValueError(node[1])
         calib_name = f"{self._prefix}calib/{stem}.yaml"
-        has_depth = self._reads_depth and self._source.has(f"{self._prefix}depth")
-        depth_name = f"{self._prefix}depth/{stem}.png" if has_depth else None
+        depth_name = f"{self._prefix}depth/{stem}.png" if self._reads_depth else None
         calib_label = self._source.label(calib_name)
         text = "\n".join(fields.parse_text(self._source.read(calib_name, max_bytes=65536), calib_label))
         with fields.naming(calib_label, FrameError):

@@ -224,7 +224,8 @@ class ScanNetFramesReader(ListedReader):
         self._depth_k = self._stated(source, depth_name, 3)
         poses = [self._stated(source, file, 4) for file in (extrinsic, extrinsic.replace("color", "depth"))]
         self._depth_to_colour = between(*(np.eye(4) if pose is None else pose for pose in poses))
-        super().__init__(folder, options, files_of(source, "color", (".jpg", ".jpeg", ".png")), expected="color/0.jpg")
+        colour = files_of(source, "color", (".jpg", ".jpeg", ".png"))
+        super().__init__(folder, options, colour, expected="color/0.jpg", depth="depth")
 
     @staticmethod
     def _stated(source: FolderSource, name: str, size: int) -> Float[np.ndarray, "{size} {size}"] | None:
@@ -235,8 +236,7 @@ class ScanNetFramesReader(ListedReader):
 
     def _read(self, index: int) -> RawFrame:
         stem, label = Path(self._colour[index]).stem, self.name_of(index)
-        has_depth = self._reads_depth and self._source.has("depth")
-        pose_name, depth_name = f"pose/{stem}.txt", f"depth/{stem}.png" if has_depth else None
+        pose_name, depth_name = f"pose/{stem}.txt", f"depth/{stem}.png" if self._reads_depth else None
         pose_label = self._source.label(pose_name)
         with fields.naming(pose_label, FrameError):
             pose = fields.matrix_of_text(self._source.read(pose_name, max_bytes=65536), 4, pose_label)

@@ -53,6 +53,7 @@ class ScanNetPPReader(ListedReader):
         stems = [key for key in self._entries if self._video or source.has(f"rgb/{key}.jpg")]
         super().__init__(folder, options, [f"rgb/{stem}.jpg" for stem in stems], expected=f"rgb image of {INDEX}")
         self._stems = stems
+        self._has_maps = source.holds_files("depth")
         if source.has("rgb_mask.mkv") and not source.has("rgb_masks"):
             advice = "unpack it to rgb_masks/frame_000000.png"
             self.notes.append(Note(f"{folder}: rgb_mask.mkv", "blurred people and screens count as seen", advice))
@@ -114,7 +115,7 @@ class ScanNetPPReader(ListedReader):
             picture = with_mask(picture, read_mask(self._source, mask_name))
         depth_name, depth_label = f"depth/{stem}.png", None
         depth_m = np.zeros((height, width), np.float32)
-        if self._reads_depth and self._source.has("depth"):
+        if self._reads_depth and self._has_maps:
             depth_label = self._source.label(depth_name)
             depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
         elif self._reads_depth and self._source.has("depth.bin"):

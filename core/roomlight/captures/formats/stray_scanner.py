@@ -49,7 +49,7 @@ class StrayScannerReader:
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
         self._source = FolderSource(folder)
         self._unit_m = options.depth_unit_m
-        self._reads_depth = options.depth != "network"
+        self._reads_depth = options.depth != "network" and self._source.holds_files("depth")
         self.probes: list[RawProbe] = []
         self.notes: list[Note] = []
         self._label = self._source.label(ODOMETRY)
@@ -122,7 +122,7 @@ class StrayScannerReader:
         if not self._source.has(depth_name) and self._source.has(f"depth/{number:06d}.npy"):
             depth_name = f"depth/{number:06d}.npy"
         depth_label, depth_m = None, None
-        if self._reads_depth and self._source.has("depth"):
+        if self._reads_depth:
             depth_label = self._source.label(depth_name)
             depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
         confidence, confidence_name = None, f"confidence/{number:06d}.png"
