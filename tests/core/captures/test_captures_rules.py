@@ -844,7 +844,10 @@ def test_a_colmap_model_says_what_it_does_not_know(tmp_path: Path) -> None:
         ({"applied_transform": [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]}, {}, True),
         ({}, {"colmap_im_id": 1}, True),
         ({}, {"sharpness": 30.0}, True),  # of instant-ngp's scripts
-        ({}, {"colmap_im_id": 1, "depth_file_path": "depth/frame_00001.png"}, False),
+        ({}, {"colmap_im_id": 1, "depth_file_path": "depth/frame_00001.png"}, True),  # of COLMAP's points
+        ({}, {"sharpness": 30.0, "depth_file_path": "depth/frame_00001.png"}, False),
+        ({"orientation_override": "none"}, {"k4": 0.0}, True),  # of RealityCapture
+        ({"orientation_override": "none"}, {}, False),
     ],
 )
 def test_the_scale_of_photogrammetry_is_noted_in_nerfstudios_files(
@@ -862,7 +865,7 @@ def test_the_scale_of_photogrammetry_is_noted_in_nerfstudios_files(
     edit(transforms / "transforms.json", change)
     assert (is_noted(), is_noted(camera_height_m=1.5)) == (noted, False)
     formats.save(transforms / "colmap/sparse/0/cameras.bin", b"")
-    assert is_noted() == ("depth_file_path" not in frame)
+    assert is_noted() == (noted or "depth_file_path" not in frame)
     (transforms / "keyframes/cameras").mkdir(parents=True)  # of Polycam, whose converter writes sharpness too
     assert "the scale of" not in str(open_capture(transforms / "transforms.json").notes)
 

@@ -14,7 +14,8 @@ or with a lens in each frame), whose world is ARKit's, y-up. Until 2024 nerfstud
 `colmap/sparse/0/cameras.bin`; Spectacular AI, whose world is z-up, writes `cameras.txt` there), and ScanNet++ its own
 z-up one in this way so that up became -z. cx and cy are used unchanged: pixel centres at half integers, as nerfstudio
 and ARKit have them. Translations are divided by `applied_scale`. Without depth, the scale of photogrammetry is noted:
-of COLMAP and Metashape, and of frames with `sharpness`, which instant-ngp's scripts write.
+of COLMAP, Metashape and RealityCapture, and of frames with `sharpness`, which instant-ngp's scripts write; with depth
+too where frames have `colmap_im_id`: nerfstudio makes depth of COLMAP's points, in COLMAP's unit.
 
 Depth: 16-bit PNG, .npy, TIFF or EXR times `depth_unit_scale_factor`, or `integer_depth_scale` (metres a step, of
 NeRFCapture's script); without them integers are millimetres and floats metres. NeRFCapture's app writes a placeholder
@@ -156,9 +157,10 @@ class NerfstudioReader:
         self._masks = self._source_of("mask_path", _MASK_FOLDERS)
         with fields.naming(self._label, CaptureError):
             self.conventions = PoseConventions("opengl", "camera-to-world", self._world_up())
-        if self._is_photogrammetry() and not self._depth_keys and options.camera_height_m is None:
+        has_metres = self._depth_keys and not any("colmap_im_id" in frame for frame in self._frames)
+        if self._is_photogrammetry() and not has_metres and options.camera_height_m is None:
             advice = "state camera_height_m (--camera-height), or scale its poses to metres"
-            text = f"{self._label}: the scale of COLMAP, Metashape or Meshroom"
+            text = f"{self._label}: the scale of COLMAP, Metashape, Meshroom or RealityCapture"
             self.notes.append(Note(text, "its poses are taken for metres", advice))
 
     def name_of(self, index: int) -> str:
@@ -335,6 +337,8 @@ class NerfstudioReader:
         if self._pictures is not self._source or is_polycam(self._source):
             return False
         stated = self._shared.get("applied_transform") in _TURNS or self._source.has(_MODEL)
+        if "orientation_override" in self._shared:  # of RealityCapture, and of Polycam without k4
+            stated |= any("k4" in frame for frame in self._frames)
         return stated or any(not frame.keys().isdisjoint(_OF_PHOTOGRAMMETRY) for frame in self._frames)
 
     def _world_up(self) -> tuple[float, float, float]:
