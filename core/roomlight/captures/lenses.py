@@ -131,7 +131,9 @@ def lens_of(entry: Mapping[str, Any], shared: Mapping[str, Any]) -> Lens:
             raise ValueError("a fisheye lens with p1 and p2 is not read; undistort the images first")
         return Lens(tuple(known[key] for key in ("k1", "k2", "k3", "k4")), fisheye=True)
     if known["k4"] and not (known["k5"] or known["k6"] or model == "FULL_OPENCV"):
-        raise ValueError("k4 of a lens that is not a fisheye is not read; state camera_model or undistort the images")
+        raise ValueError(
+            "k4 of a polynomial lens (Metashape, RealityCapture) is not read; undistort the images, or state is_fisheye"
+        )
     return Lens(tuple(known[key] for key in COEFFICIENTS))
 
 

@@ -118,7 +118,7 @@ def test_coefficients_written_as_text_are_read(transforms: Path) -> None:
         ({"projection": "Equirectangular"}, "projection"),
         ({"distortion_coefficients": [0.1, 0.02]}, "distortion_coefficients"),
         ({"distortion_params": [0.1, 0.2, 0, 0]}, "distortion_params"),
-        ({"k4": 0.1}, "k4"),
+        ({"k4": 0.1}, "k4 of a polynomial lens (Metashape, RealityCapture)"),
         ({"is_fisheye": True, "p1": 0.01}, "fisheye"),
     ],
 )
