@@ -32,6 +32,13 @@ def test_metadata_of_another_program_is_not_record3ds(tmp_path: Path, kind: str)
     assert open_capture(tmp_path / "outer").path == tmp_path / "outer/capture"
 
 
+@pytest.mark.parametrize("data", [b"", b" " * (1 << 21)])
+def test_cameras_of_another_program_are_not_polycams(tmp_path: Path, data: bytes) -> None:
+    path = formats.colmap(tmp_path / "capture", VIEWS[:2])
+    formats.save(path / "cameras/cameras.json", data)
+    assert open_capture(path).format == "colmap"
+
+
 def test_record3ds_files_without_poses_are_named(tmp_path: Path) -> None:
     path = formats.record3d_export(tmp_path / "capture", VIEWS[:1])
     (path / "metadata.json").write_text('{"w": 32, "h": 24, "K": []}')

@@ -39,7 +39,10 @@ def is_polycam(source: FolderSource) -> bool:
     if any(source.has(name) for name in ("keyframes/cameras", "keyframes/corrected_cameras", "corrected_cameras")):
         return True
     first = next(iter(files_of(source, "cameras", (".json",))), None)
-    return first is not None and b'"t_00"' in source.read(first, max_bytes=1 << 20)
+    try:
+        return first is not None and b'"t_00"' in source.read(first, max_bytes=1 << 20)
+    except FrameError:  # empty, or larger than a camera
+        return False
 
 
 class PolycamReader(ListedReader):
