@@ -215,6 +215,13 @@ def test_rtabmap_by_time_with_the_robots_poses(tmp_path: Path) -> None:
     one_skipped(path, 1, "local_transform", "--poses_camera")
 
 
+def test_what_macos_leaves_beside_an_export_of_rtabmap_is_not_read(tmp_path: Path) -> None:
+    path = tool_formats.rtabmap(tmp_path / "capture", VIEWS)
+    for name in ("rgb", "depth", "calib", "camera_poses.txt"):
+        formats.save(path / f"._room_{name}", b"\0\5\x16\7")
+    same_views(open_capture(path), VIEWS)
+
+
 def test_confidence_of_rtabmap_is_in_percent(tmp_path: Path) -> None:
     path, percent = tool_formats.rtabmap(tmp_path / "capture", VIEWS), np.full((24, 32), 100, np.uint8)
     percent[:4], percent[4:8], percent[8:12] = 0, 49, 50

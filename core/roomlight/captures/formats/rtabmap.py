@@ -37,7 +37,7 @@ _CAMERA_POSES, _ROBOT_POSES = "camera_poses.txt", "poses.txt"
 
 def export_name(source: FolderSource) -> str | None:
     """Return what the names of an export begin with, such as `room_`; None if the folder holds none."""
-    for name in source.names():
+    for name in (name for name in source.names() if name[0] != "."):
         prefix = name.removesuffix("calib")
         if prefix != name and source.has(f"{prefix}rgb") and _poses_name(source, prefix) is not None:
             return prefix
