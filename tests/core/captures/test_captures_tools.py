@@ -357,6 +357,17 @@ def test_a_colmap_model_is_read_with_the_pictures_above_it(tmp_path: Path, opene
     assert next(iter(capture)).image.shape == (24, 32, 3)
 
 
+@pytest.mark.parametrize("folder", ["images", "input"])
+def test_pictures_that_a_colmap_model_did_not_place_are_noted(tmp_path: Path, folder: str) -> None:
+    path = formats.colmap(tmp_path / "capture", VIEWS)
+    (path / folder).mkdir(exist_ok=True)
+    for number in range(1, 8):
+        shutil.copy(path / "images/frame_00001.png", path / f"{folder}/more_{number}.png")
+        shutil.copy(path / "images/frame_00001.png", path / f"{folder}/._more_{number}.png")
+    said = f"{path}/{folder}: the model placed 4 of {11 if folder == 'images' else 7} pictures"
+    assert any(note.left_out == said for note in open_capture(path).notes)
+
+
 def test_small_pictures_of_a_colmap_model_are_read(tmp_path: Path) -> None:
     path = formats.colmap(tmp_path / "capture", VIEWS[:1])
     formats.save(path / "images_2/frame_00001.png", formats.image(".png", VIEWS[0].srgb8[::2, ::2]))

@@ -27,7 +27,7 @@ from roomlight.camera import Intrinsics, pose_from_quaternion
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame
 from roomlight.captures.decoding import DEPTH_SUFFIXES, read_mask, read_picture, read_rgbd, with_mask
-from roomlight.captures.formats.listed import ListedReader
+from roomlight.captures.formats.listed import ListedReader, files_of
 from roomlight.captures.lenses import Lens, lens_of, straightened
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, read_index
@@ -176,6 +176,12 @@ class ColmapReader(ListedReader):
             "state world_up, and camera_height_m (--camera-height) or scale the model to metres",
         )
         self.notes = [note, *lacking]
+        ends = tuple({PurePosixPath(image.name).suffix.lower() for image in self._images})
+        taken = {name: len(files_of(source, name, ends)) for name in ("input", "images", root)}
+        most = max(taken, key=taken.__getitem__)
+        if taken[most] > self.count:
+            text = f"{source.label(most)}: the model placed {self.count} of {taken[most]} pictures"
+            self.notes.append(Note(text, "the others are not read", "let COLMAP match them again if many are lacking"))
         if not self._reads_depth:
             self._depth = None
         self._fits = None
