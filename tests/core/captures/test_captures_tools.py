@@ -296,6 +296,8 @@ def test_relative_depth_beside_a_colmap_model(tmp_path: Path) -> None:
         fits[f"frame_{index + 1:05d}"] = {"scale": scale, "offset": offset}
     formats.save(path / "sparse/0/depth_params.json", json.dumps(fits).encode())
     same_views(open_capture(path), VIEWS, depth_atol=1e-3)
+    edit(path / "sparse/0/depth_params.json", lambda stated: stated["frame_00002"].update(scale=12 * scale))
+    one_skipped(path, 1, "depth_params.json: scale is ", "not 0.2 to 5 times the median")
     edit(path / "sparse/0/depth_params.json", lambda stated: stated["frame_00002"].update(scale=0))
     one_skipped(path, 1, "depth_params.json: scale is 0")
     edit(path / "sparse/0/depth_params.json", lambda stated: stated.pop("frame_00002"))

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path, PurePosixPath
+from statistics import median
 from typing import Any, BinaryIO, Final
 
 import numpy as np
@@ -187,6 +188,9 @@ class ColmapReader(ListedReader):
         self._fits = None
         if source.has(f"{prefix}{_FITS}"):
             self._fits = fields.parse_json(read_index(source, f"{prefix}{_FITS}"), source.label(f"{prefix}{_FITS}"))
+            scales = (fit.get("scale") for fit in self._fits.values() if isinstance(fit, dict))
+            positive = [scale for scale in scales if isinstance(scale, int | float) and 0 < scale < 1e30]
+            self._median_scale = median(positive) if positive else 1.0
             maps = source.names(self._depth) if self._depth is not None else []
             if other := next((name for name in maps if name.endswith(DEPTH_SUFFIXES) and name[-4:] != ".png"), ""):
                 text = f"{folder}: {_FITS} beside {self._depth}/{other}"
@@ -225,7 +229,8 @@ class ColmapReader(ListedReader):
             picture = read_picture(self._source, self._colour[index])
             stored = decode_grey16(self._source.read(depth_name), str(depth_label))
             with fields.naming(f"{label}: {_FITS}", FrameError):
-                depth_m = _from_relative(stored, self._fits.get(stem)) * np.float32(self._unit_m or 1.0)
+                depth_m = _from_relative(stored, self._fits.get(stem), self._median_scale)
+            depth_m *= np.float32(self._unit_m or 1.0)
         else:
             picture, depth_m = read_rgbd(self._source, self._colour[index], depth_name, unit_m=self._unit_m)
         for mask in (f"{self._base}masks/{image.name}.png", f"{self._base}masks/{stem}.png"):
@@ -263,13 +268,19 @@ def _camera(model: str, width: int, height: int, parameters: list[float]) -> _Ca
         return f"its camera model {model[:40]} cannot be used: {error}"
 
 
-def _from_relative(stored: UInt16[np.ndarray, "h w"], fit: Any) -> Float[np.ndarray, "h w"]:
-    """Return depth in the model's unit by the fit of an image to the model's points. Raises ValueError without one."""
+def _from_relative(stored: UInt16[np.ndarray, "h w"], fit: Any, median_scale: float) -> Float[np.ndarray, "h w"]:
+    """Return depth in the model's unit by the fit of an image to the model's points.
+
+    Raises:
+        ValueError: There is no fit, or its scale is one at which 3D Gaussian splatting ignores depth.
+    """
     if not isinstance(fit, dict):
         raise ValueError("has no entry of this image, whose depth is relative")
     scale, offset = (fields.number(fit.get(key), key) for key in ("scale", "offset"))
     if scale <= 0:
         raise ValueError(f"scale is {scale:g}, as where the image shows too few of the model's points")
+    if not 0.2 * median_scale <= scale <= 5 * median_scale:
+        raise ValueError(f"scale is {scale:g}, not 0.2 to 5 times the median of all images, {median_scale:g}")
     with np.errstate(divide="ignore"):
         depth = 1 / (stored * (scale / 65536) + offset)
     return clean_depth(np.where(stored > 0, depth, 0))
