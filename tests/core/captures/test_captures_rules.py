@@ -797,11 +797,16 @@ def test_every_image_of_a_colmap_text_is_read(tmp_path: Path, points: str | None
 
 def test_pixels_outside_the_circle_of_a_fisheye_are_not_seen(transforms: Path) -> None:
     edit(transforms / "transforms.json", lambda index: index.update(fisheye_crop_radius=10.0))
-    frame = first_of(transforms)
-    rows, columns = np.mgrid[:24, :32] + 0.5
-    inside = np.hypot(rows - 12, columns - 16) <= 10
-    np.testing.assert_array_equal(frame.seen, inside)
-    assert not frame.depth_m[~inside].any()
+    assert first_of(transforms).seen is None  # a pinhole has no circle
+    edit(transforms / "transforms.json", lambda index: index.update(camera_model="OPENCV_FISHEYE"))
+    frame, camera = first_of(transforms), first_of(transforms).intrinsics
+    assert frame.seen is not None
+    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
+    away = np.hypot((columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy)
+    stated = np.arctan(away) * formats.FX  # pixels from the principal point, which is near the image's centre
+    assert frame.seen[stated < 9].all()
+    assert not frame.seen[stated > 11].any()
+    assert not frame.depth_m[~frame.seen].any()
 
 
 @pytest.mark.parametrize("build", [formats.polycam, formats.record3d_export, formats.scanner_app])

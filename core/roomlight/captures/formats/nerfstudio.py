@@ -4,7 +4,7 @@ Schema: `frames: [{file_path, depth_file_path | depth_path, transform_matrix, ti
 is_bad?}]`; intrinsics `fl_x fl_y cx cy w h` per frame or once, or `camera_angle_x` (rad), or
 instant-ngp's `x_fov` (degrees). Colour names may lack their suffix.
 Pixels of a mask that are 0 are not seen; instant-ngp's `dynamic_mask_NAME.png` beside an image is the other way round;
-nor are pixels farther than `fisheye_crop_radius` from the centre of the image.
+nor are pixels of a fisheye farther than `fisheye_crop_radius` from the centre of the image.
 Frames that are marked `is_bad` are skipped.
 
 Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unless the file has `world_up` (x, y, z,
@@ -43,7 +43,7 @@ from roomlight.captures.capture import PoseConventions, RawFrame, ReadRecord
 from roomlight.captures.decoding import DEPTH_SUFFIXES, read_mask, read_rgbd, with_mask
 from roomlight.captures.formats.listed import probes_of
 from roomlight.captures.formats.polycam import is_polycam
-from roomlight.captures.lenses import MODEL_KEYS, lens_of, straightened
+from roomlight.captures.lenses import MODEL_KEYS, Lens, lens_of, straightened
 from roomlight.captures.options import CaptureOptions, up_vector
 from roomlight.captures.source import MAX_FRAMES, read_index
 from roomlight.errors import CaptureError, FrameError
@@ -199,7 +199,7 @@ class NerfstudioReader:
             lens = lens_of(entry, self._shared)
         colour_label = self._pictures.label(colour_name)
         picture, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=unit_m, pictures=self._pictures)
-        picture = self._masked(entry, picture, where)
+        picture = self._masked(entry, picture, where, lens)
         with fields.naming(f"{where} ({colour_label})", FrameError):
             intrinsics = self._intrinsics(entry, picture.image.shape[1], picture.image.shape[0])
             picture, depth_m, camera, stated = straightened(picture, depth_m, intrinsics, lens, colour_label)
@@ -225,14 +225,14 @@ class NerfstudioReader:
             self.notes.append(Note(text, effect, advice))
         return True
 
-    def _masked(self, entry: dict[str, Any], picture: ColourImage, where: str) -> ColourImage:
+    def _masked(self, entry: dict[str, Any], picture: ColourImage, where: str, lens: Lens) -> ColourImage:
         stated = fields.first_of(entry, self._shared, "mask_path")
         if stated is not None and fields.first_of(entry, self._shared, "has_mask") is not False:
             with fields.naming(where, FrameError):
                 name = self._masks.with_suffix(fields.text(stated, "mask_path"), _SUFFIXES)
             picture = with_mask(picture, read_mask(self._masks, name))
         radius = fields.first_of(entry, self._shared, "fisheye_crop_radius")
-        if radius is not None:
+        if radius is not None and lens.fisheye:
             with fields.naming(where, FrameError):
                 stated_width = fields.first_of(entry, self._shared, "w")
                 height, width = picture.image.shape[:2]
