@@ -404,6 +404,13 @@ def test_points_of_a_colmap_model_do_not_count_as_its_index(
         refused(path, r"images\.bin: the model is truncated or damaged")
 
 
+@pytest.mark.parametrize("build", [formats.colmap, formats.colmap_text])
+def test_what_is_wrong_with_colmaps_cameras_names_their_file(tmp_path: Path, build: Callable[..., Path]) -> None:
+    (cameras,) = build(tmp_path / "capture", VIEWS).rglob("cameras.*")
+    cameras.write_bytes(b"1 PINHOLE\0")
+    refused(tmp_path / "capture", rf"{cameras.name}: (is not text|the model is truncated)")
+
+
 def test_late_camera_models_of_colmap(tmp_path: Path) -> None:
     """SIMPLE_FISHEYE has no coefficients; EUCM is not read."""
     path = formats.colmap(tmp_path / "capture", VIEWS)

@@ -151,10 +151,11 @@ class ColmapReader(ListedReader):
         binary = source.has(f"{prefix}cameras.bin") and source.has(f"{prefix}images.bin")
         end = "bin" if binary else "txt"
         cameras = read_index(source, f"{prefix}cameras.{end}")
-        label = source.label(f"{prefix}images.{end}")
+        label = source.label(f"{prefix}cameras.{end}")
         try:
-            with fields.naming(source.label(f"{prefix}cameras.{end}"), CaptureError):
+            with fields.naming(label, CaptureError):
                 self._cameras = _cameras_of_bytes(cameras) if binary else _cameras_of_text(cameras, label)
+            label = source.label(f"{prefix}images.{end}")
             images = source.path(f"{prefix}images.{end}", max_bytes=None)
             with fields.naming(label, CaptureError), images.open("rb") as file:
                 listed = _images_of_bytes(file, images.stat().st_size) if binary else _images_of_text(file)
