@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from roomlight.conventions import linear_to_srgb8
+from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Recording
 from rooms import BoxRoom, camera_at
 
 
-class BoxRecordings:
+class BoxRecordings(Dataset):
     """`count` sequences of 31 small frames in box rooms of several sizes; frames are rendered when they are read."""
 
     def __init__(self, count, *, height=60):

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from rich.table import Table
 
-from roomlight.dataset.loader import DepthKind
+from roomlight.dataset.loader import Dataset, DepthKind
 from roomlight.dataset.recording import Recording
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
@@ -30,7 +30,7 @@ from roomlight.spheres import Material, SphereRenderer, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import beside_classical
 from roomlight_evaluation.confidence import MeanWithInterval, mean_cell, mean_with_interval
-from roomlight_evaluation.walks import Walks, walk_frames
+from roomlight_evaluation.walks import walk_frames
 from roomlight_generator.generate import GenerateOptions
 
 _ERRORS: Final = {"rmse": "RMSE", "si_rmse": "scale-invariant RMSE", "angular_deg": "angular error (deg)"}
@@ -107,7 +107,7 @@ def rooms_digest(folder: Path, rooms: int) -> str:
 
 
 def evaluate_benchmark(
-    walks: Walks,
+    walks: Dataset,
     options: SessionOptions,
     *,
     rooms: int,

@@ -8,15 +8,14 @@ seeded by the walk's name, so that every method and every run gets the same one.
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from pathlib import Path
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
 from roomlight.conventions import Position
 from roomlight.dataset.arkit_depth import arkit_like
-from roomlight.dataset.loader import DepthKind
+from roomlight.dataset.loader import Dataset, DepthKind
 from roomlight.dataset.recording import Recording
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
@@ -37,20 +36,6 @@ AVERAGE: Final = "simple average"
 PHONE: Final = "phone depth"
 ProgressCallback = Callable[[int, int], object]
 """Called as (walks done, walks in all) after each walk."""
-
-
-@runtime_checkable
-class Walks(Protocol):
-    """What is read of a dataset; `roomlight.dataset.loader.Dataset` has it."""
-
-    @property
-    def folder(self) -> Path:
-        """The dataset's name in messages and results."""
-        ...
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, number: int, /) -> Recording: ...
 
 
 @dataclass(frozen=True)
@@ -187,7 +172,7 @@ class LateProbe:
 
 
 def evaluate_walks(
-    datasets: Sequence[Walks],
+    datasets: Sequence[Dataset],
     models: Compared,
     *,
     limit: int | None = None,

@@ -21,7 +21,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from roomlight.camera import Intrinsics
-from roomlight.dataset.loader import Dataset
 from roomlight.errors import DatasetError, ModelError
 from roomlight.monocular.network import DEPTH_SIDE, LEAST_RISE, MOST_RISE
 from roomlight_model.depth.network import DepthNetwork
@@ -29,7 +28,7 @@ from roomlight_model.training.batches import Tensors
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.run_folder import RunOptions
 from roomlight_model.training.small_stage import SmallStage
-from roomlight_model.training.subsets import ProgressCallback, Subset, each_sequence
+from roomlight_model.training.subsets import ProgressCallback, Recordings, each_sequence
 
 GRADIENT_WEIGHT: Final = 0.5
 """Weight of the differences between neighbouring errors, at four scales: edges and planes (Li and Snavely 2018)."""
@@ -117,7 +116,7 @@ class DepthFrames(Tensors):
         )
 
     @classmethod
-    def read(cls, datasets: Sequence[Dataset | Subset], *, progress: ProgressCallback | None = None) -> "DepthFrames":
+    def read(cls, datasets: Sequence[Recordings], *, progress: ProgressCallback | None = None) -> "DepthFrames":
         """Read the frames of every sequence, but few that are near the floor.
 
         Raises:

@@ -15,7 +15,6 @@ from annotated_types import Ge
 from jaxtyping import Float, Float16, Float32
 from torch import Tensor
 
-from roomlight.dataset.loader import Dataset
 from roomlight.engine.networks.clipping import SIDE, Placement, clipping_planes
 from roomlight.errors import DatasetError
 from roomlight_model.clipping_network import ClippingNetwork
@@ -23,7 +22,7 @@ from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.small_stage import SmallOptions, SmallStage
-from roomlight_model.training.subsets import ProgressCallback, Subset, each_sequence
+from roomlight_model.training.subsets import ProgressCallback, Recordings, each_sequence
 
 CLIPPED: Final = 0.956
 """Radiance from which an 8-bit sRGB value counts as clipped (`roomlight.frame.CLIPPED_SRGB8`)."""
@@ -63,7 +62,7 @@ class ClippingFrames(Tensors):
 
     @classmethod
     def read(
-        cls, datasets: Sequence[Dataset | Subset], *, seed: int, progress: ProgressCallback | None = None
+        cls, datasets: Sequence[Recordings], *, seed: int, progress: ProgressCallback | None = None
     ) -> "ClippingFrames":
         """Read a frame of every sequence, drawn at random; sequences whose recordings lack the truth are left out.
 

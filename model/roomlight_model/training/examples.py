@@ -5,7 +5,7 @@ Runs on CPU threads. Every random choice follows from (seed, step), so that a re
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ from roomlight.depth import complete_depth
 from roomlight.engine.panorama.panels import BRIGHTEST
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.frame import Frame
+from roomlight_model.training.subsets import Recordings
 
 DepthKind = Literal["exact", "arkit", "both"]
 """Depth as rendered, as a phone measures it, or half of each."""
@@ -28,21 +29,6 @@ without depth are windows."""
 _CONTRASTS = (0.85, 1.7)
 """Range of exponents of radiance. Generated rooms are lit more evenly than many real ones: the ratio of a frame's mean
 to its median has a median of 1.4 in the data, and is 2.2 to 4 in some artists' scenes and real rooms."""
-
-
-@runtime_checkable
-class Recordings(Protocol):
-    """Sequences by number."""
-
-    def __len__(self) -> int: ...
-
-    def frames_of(self, index: int, /) -> int:
-        """Return the number of frames of a sequence."""
-        ...
-
-    def read(self, index: int, /, *, frames: list[int]) -> Recording:
-        """Read a sequence with only these frames, in this order, and all its probes."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

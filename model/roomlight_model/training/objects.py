@@ -18,7 +18,6 @@ from jaxtyping import Float, Float16, Float32
 from torch import Tensor
 
 from roomlight.conventions import panorama_rays, panorama_solid_angles
-from roomlight.dataset.loader import Dataset
 from roomlight.engine.lighting import LIGHTING_PANELS, lighting_panels
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.options import ModelName
@@ -32,7 +31,7 @@ from roomlight_model.training.batches import Tensors
 from roomlight_model.training.examples import example_of, limited
 from roomlight_model.training.losses import Losses
 from roomlight_model.training.small_stage import SmallOptions, SmallStage
-from roomlight_model.training.subsets import ProgressCallback, Subset, each_sequence
+from roomlight_model.training.subsets import ProgressCallback, Recordings, each_sequence
 
 MATERIALS: Final = ("diffuse", "glossy", "metal")
 """Pictures whose errors are the loss: spheres of these materials."""
@@ -86,7 +85,7 @@ class ProbePanels(Tensors):
     @classmethod
     def read(
         cls,
-        datasets: Sequence[Dataset | Subset],
+        datasets: Sequence[Recordings],
         *,
         seed: int,
         streams: int = _STREAMS,
@@ -227,7 +226,7 @@ def _reflection_lobe(power: int) -> Float32[Tensor, "n k"]:
 
 
 def _stream(
-    session: Session, dataset: Dataset | Subset, index: int, rng: np.random.Generator
+    session: Session, dataset: Recordings, index: int, rng: np.random.Generator
 ) -> list[tuple[Float16[np.ndarray, "10 h w"], Float16[np.ndarray, "3 h w"]]]:
     """Push random frames of a recording; return the panels and the truth of its probes at two moments."""
     count = dataset.frames_of(index)

@@ -18,7 +18,8 @@ from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
 from roomlight.frame import Frame
 from roomlight_model.training.batches import Probes, at_height, probe_columns, restored_frames
-from roomlight_model.training.examples import DepthKind, Example, Recordings, augmented, example_of, near
+from roomlight_model.training.examples import DepthKind, Example, augmented, example_of, near
+from roomlight_model.training.subsets import Recordings
 
 _WHOLE = 0.25
 """Share of steps with the largest number of frames; the others draw the logarithm of the number uniformly."""

@@ -26,7 +26,7 @@ from roomlight_model.config import ModelConfig
 from roomlight_model.networks import SingleModel
 from roomlight_model.sphere_rendering import shade
 from roomlight_model.training.batches import Batch, collate
-from roomlight_model.training.examples import DepthKind, Recordings, read_example
+from roomlight_model.training.examples import DepthKind, read_example
 from roomlight_model.training.losses import (
     Losses,
     draw_sphere,
@@ -38,6 +38,7 @@ from roomlight_model.training.losses import (
     rendering_loss,
 )
 from roomlight_model.training.run_folder import RunOptions
+from roomlight_model.training.subsets import Recordings
 from roomlight_model.training.validation import SingleViewValidation
 from roomlight_model.volume_networks import SGVolume
 

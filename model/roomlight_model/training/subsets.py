@@ -6,7 +6,7 @@ lights a held-out room lights others too. The small networks hold out the test s
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,26 +14,16 @@ from roomlight.conventions import panorama_solid_angles, srgb8_to_linear
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Recording
 from roomlight.errors import DatasetError
-from roomlight_model.training.examples import Recordings
 
 ProgressCallback = Callable[[int, int], object]
 """Receives (done, total)."""
 _HELD_OUT_EVERY: Final = 12
 
 
-@runtime_checkable
-class RoomRecordings(Recordings, Protocol):
-    """Sequences by number, of known rooms."""
-
-    def room_of(self, number: int, /) -> int:
-        """Return the number of a sequence's room: the same in all datasets of a seed."""
-        ...
-
-
 class Subset:
     """Some sequences of several datasets, numbered from 0."""
 
-    def __init__(self, places: Sequence[tuple[Recordings, int]]) -> None:
+    def __init__(self, places: Sequence[tuple[Dataset, int]]) -> None:
         """Take sequences as pairs of dataset and number in it."""
         self._places = tuple(places)
 
@@ -70,9 +60,13 @@ class Subset:
         return Subset(places)
 
 
+Recordings = Dataset | Subset
+"""Sequences by number."""
+
+
 def each_sequence(
-    datasets: Sequence[Dataset | Subset], progress: ProgressCallback | None = None
-) -> Iterator[tuple[Dataset | Subset, int]]:
+    datasets: Sequence[Recordings], progress: ProgressCallback | None = None
+) -> Iterator[tuple[Recordings, int]]:
     """Yield every sequence as its dataset and its number there; `progress` is called when one has been used."""
     sequences = [(dataset, index) for dataset in datasets for index in range(len(dataset))]
     for done, sequence in enumerate(sequences, 1):
@@ -81,7 +75,7 @@ def each_sequence(
             progress(done, len(sequences))
 
 
-def train_val_split(datasets: Sequence[RoomRecordings], scored: int | None = None) -> tuple[Subset, Subset]:
+def train_val_split(datasets: Sequence[Dataset], scored: int | None = None) -> tuple[Subset, Subset]:
     """Split into the sequences to train on, without every twelfth room, and those to score.
 
     The latter are the first ones of the first dataset's held-out rooms, at most `scored`; None: those of every dataset,

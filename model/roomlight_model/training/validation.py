@@ -20,9 +20,10 @@ from roomlight.errors import OutputError
 from roomlight.metrics import intervals
 from roomlight_model.sphere_rendering import shade
 from roomlight_model.training.batches import Batch, collate
-from roomlight_model.training.examples import DepthKind, Recordings, example_of, read_example
+from roomlight_model.training.examples import DepthKind, example_of, read_example
 from roomlight_model.training.losses import Losses, draw_sphere, log_l2_loss, radiance_along, rendering_loss
 from roomlight_model.training.sequences import PreparedWalk, WalkBatch, collate_walks, read_walk, with_views
+from roomlight_model.training.subsets import Recordings
 
 if TYPE_CHECKING:
     from roomlight_model.training.video import Unroll

@@ -30,7 +30,6 @@ from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.networks import BlendState, SGState, SingleModel, VideoModel
 from roomlight_model.sphere_rendering import shade
 from roomlight_model.training.batches import fill_detail
-from roomlight_model.training.examples import Recordings
 from roomlight_model.training.light_changes import LightChanges
 from roomlight_model.training.losses import (
     Losses,
@@ -52,6 +51,7 @@ from roomlight_model.training.sequences import (
     with_views,
 )
 from roomlight_model.training.single_view import SingleViewOptions, channels_last, train_only
+from roomlight_model.training.subsets import Recordings
 from roomlight_model.training.validation import WalkValidation
 
 VideoStageName = Literal["video-sglv", "video-blend", "video-joint"]
