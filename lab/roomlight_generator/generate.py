@@ -15,6 +15,7 @@ from annotated_types import Ge, Interval
 
 from roomlight.dataset.folder import (
     FRAMES,
+    GENERATOR,
     MANIFEST,
     DatasetSettings,
     create_folder,
@@ -183,6 +184,7 @@ def generate(
         frames=options.frames,
         furniture=furniture_digest(options.furniture) if furnished else None,
         renderer=options.renderer_name,
+        generator=GENERATOR,
         panoramas=None if options.panoramas is None else panoramas_digest(options.panoramas),
         furniture_share=None if options.panoramas is None else options.furniture_share,
         scenes=", ".join(f"{path.name} {files_digest([('', path)])[:12]}" for path in options.scenes) or None,

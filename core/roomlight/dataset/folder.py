@@ -16,6 +16,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import TypeAdapter, ValidationError
+
 from roomlight import __version__
 from roomlight.dataset.recording import Split
 from roomlight.errors import DatasetError, OutputError
@@ -31,9 +33,6 @@ GENERATOR: Final = f"{__version__}+6"
 """RoomLight's version and the generator's: the latter rises when the same seed gives other rooms, so that a dataset is
 not continued with them. 2: flat colours, and furniture of the library. 4: lamps with sharp edges.
 5: mirrors and coats without bias. 6: probes see all of the sun; coats in rooms lit by panoramas as in others."""
-
-_OPTIONAL: Final = ("panoramas", "furniture_share", "scenes", "samples")
-"""Settings that are written only where they apply: earlier versions read manifests without them."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class DatasetSettings:
     frames: int
     furniture: str | None
     renderer: str
-    generator: str = GENERATOR
+    generator: str
     panoramas: str | None = None
     furniture_share: float | None = None
     scenes: str | None = None
@@ -81,10 +80,7 @@ class Manifest:
 
     def to_bytes(self) -> bytes:
         """Return the content of `dataset.json`."""
-        settings = {
-            key: value for key, value in vars(self.settings).items() if key not in _OPTIONAL or value is not None
-        }
-        values = {"format": FORMAT, "version": VERSION, **settings, "sequences": self.sequences}
+        values = {"format": FORMAT, "version": VERSION, **vars(self.settings), "sequences": self.sequences}
         return (json.dumps(values, indent=1) + "\n").encode()
 
 
@@ -110,24 +106,13 @@ def read_manifest(folder: Path) -> Manifest:
         values: dict[str, Any] = json.loads(data)
         if (values["format"], values["version"]) != (FORMAT, VERSION):
             raise DatasetError(f"{path}: is {values['format']} {values['version']}; {FORMAT} {VERSION} is read")
-        settings = DatasetSettings(
-            seed=int(values["seed"]),
-            shard_size=int(values["shard_size"]),
-            sequences_per_room=int(values["sequences_per_room"]),
-            frames=int(values.get("frames", FRAMES)),
-            furniture=values["furniture"],
-            renderer=str(values["renderer"]),
-            generator=str(values["generator"]),
-            panoramas=None if values.get("panoramas") is None else str(values["panoramas"]),
-            furniture_share=None if values.get("furniture_share") is None else float(values["furniture_share"]),
-            scenes=None if values.get("scenes") is None else str(values["scenes"]),
-            samples=None if values.get("samples") is None else int(values["samples"]),
-        )
-        return Manifest(settings, {str(split): int(count) for split, count in values["sequences"].items()})
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        return TypeAdapter(Manifest).validate_python({"settings": values, "sequences": values["sequences"]})
+    except (ValueError, TypeError, KeyError) as error:
+        first = error.errors(include_url=False)[0] if isinstance(error, ValidationError) else None
+        reason = f"{first['loc'][-1]}: {first['msg']}" if first else f"{type(error).__name__}: {error}"
         raise DatasetError(
-            f"{path}: is damaged ({type(error).__name__}: {error}); restore it from a copy, or write it by hand from "
-            "the settings of the generate command"
+            f"{path}: is damaged ({reason}); restore it from a copy, or write it by hand from the settings of the "
+            "generate command"
         ) from error
 
 

@@ -271,7 +271,16 @@ def test_a_place_that_cannot_be_written_is_an_error(tmp_path):
         generate(tmp_path / "file" / "below", options())
 
 
-@pytest.mark.parametrize("manifest", [b"", b"{}", b"[1]", b'{"format": "roomlight-dataset", "version": 2}'])
+@pytest.mark.parametrize(
+    "manifest",
+    [
+        b"",
+        b"{}",
+        b"[1]",
+        b'{"format": "roomlight-dataset", "version": 2}',
+        b'{"format": "roomlight-dataset", "version": 1, "sequences": {"train": 1}}',
+    ],
+)
 def test_a_damaged_manifest_is_an_error(manifest, tmp_path):
     (tmp_path / MANIFEST).write_bytes(manifest)
     with pytest.raises(DatasetError, match=r"dataset\.json"):
