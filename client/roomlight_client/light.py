@@ -70,11 +70,10 @@ class ReceivedForms:
         return None
 
     def lights(self, use: LightUse) -> tuple[MainLight, ...] | None:
-        """Read the lights beside the main light in `main_light`; the main light alone if the server sends no others."""
+        """Read the lights beside the main light in `main_light`."""
         for form, _ in self._of("main_light", use):
             with _reading(form):
-                values = form.values or {}
-                return tuple(_main_light(light) for light in values.get("lights", [values]))
+                return tuple(_main_light(light) for light in (form.values or {})["lights"])
         return None
 
     def harmonics(self, kind: HarmonicsKind, use: LightUse) -> SphericalHarmonics | None:
@@ -177,9 +176,8 @@ def _numbers(values: Any, count: int) -> Float[np.ndarray, " n"]:
 
 
 def _main_light(values: dict[str, Any]) -> MainLight:
-    """Read a light; servers of earlier versions send direction and intensity alone."""
     radius_deg, shadow_strength, emitted, number = _numbers(
-        [values.get(name, 0) for name in ("radius_deg", "shadow_strength", "emitted", "number")], 4
+        [values[name] for name in ("radius_deg", "shadow_strength", "emitted", "number")], 4
     ).tolist()
     direction, intensity = _numbers(values["direction"], 3), _numbers(values["intensity"], 3)
     return MainLight(direction, intensity, radius_deg, shadow_strength, emitted, int(number))

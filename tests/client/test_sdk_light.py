@@ -31,6 +31,7 @@ class TwoUses:
 
 
 ENGINE = rl.Light((1.0, 0.5, -2.0), observed=OBSERVED, frame=7, name="table", source=TwoUses())
+LIGHTS = ENGINE.main_light.to_json() | {"lights": [source.to_json() for source in ENGINE.lights]}
 BOTH = ("npy", ("npy", "reflection"), "confidence")
 FILES: tuple[FileFormat, ...] = get_args(FileFormat)
 
@@ -57,7 +58,7 @@ def received(*forms: Any) -> rl.Light:
         (*BOTH, *((kind, values) for kind, values in (
             ("sh", ENGINE.harmonics.to_json()),
             ("sh", ENGINE.ambient.to_json("planar")),
-            ("main_light", ENGINE.main_light.to_json()),
+            ("main_light", LIGHTS),
         ))),
     ],
     ids=["computed", "sent"],
@@ -96,7 +97,7 @@ def test_json_is_saved_from_harmonics_and_main_light(tmp_path):
     light = received(
         ("sh", ENGINE.harmonics.to_json()),
         ("sh", ENGINE.ambient.to_json()),
-        ("main_light", ENGINE.main_light.to_json()),
+        ("main_light", LIGHTS),
     )
     light.save(tmp_path / "light.json")
     assert json.loads((tmp_path / "light.json").read_text()) == json.loads(json.dumps(ENGINE.to_json()))
@@ -138,23 +139,15 @@ def test_a_form_that_is_missing_names_the_request(access, request_it):
 
 
 def test_lights_come_beside_the_main_light():
-    values = {**ENGINE.main_light.to_json(), "lights": [one.to_json() for one in ENGINE.lights]}
-    light = received(("main_light", values))
+    light = received(("main_light", LIGHTS))
     assert len(ENGINE.lights) > 0
-    assert [one.to_json() for one in light.lights] == values["lights"]
-
-
-def test_a_server_without_lights_sends_the_main_light_alone():
-    """Servers of earlier versions send direction and intensity."""
-    light = received(("main_light", {"direction": [0.0, 1.0, 0.0], "intensity": [2.0, 1.0, 0.5]}))
-    assert [one.to_json() for one in light.lights] == [light.main_light.to_json()]
-    assert (light.main_light.radius_deg, light.main_light.shadow_strength, light.main_light.number) == (0, 0, 0)
+    assert [source.to_json() for source in light.lights] == LIGHTS["lights"]
 
 
 @pytest.mark.parametrize(
     "broken", [{"radius_deg": "wide"}, {"emitted": [1, 2]}, {"lights": [{"direction": [0, 1, 0]}]}, {"lights": 3}]
 )
 def test_lights_that_cannot_be_read_are_refused(broken):
-    light = received(("main_light", {**ENGINE.main_light.to_json(), "lights": [], **broken}))
+    light = received(("main_light", LIGHTS | broken))
     with pytest.raises(sdk.BadReplyError, match="the form main_light cannot be read"):
         _ = light.lights if "lights" in broken else light.main_light

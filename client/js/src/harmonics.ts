@@ -20,22 +20,22 @@ export interface LightSourceValues {
   direction: Vector;
   intensity: Vector;
   /** Angular radius in degrees of a round light of the same spread. */
-  radius_deg?: number;
+  radius_deg: number;
   /** Share of the irradiance on a surface that faces the light, 0 to 1: how much darker its shadow is there. */
-  shadow_strength?: number;
+  shadow_strength: number;
   /** 1: brighter than any surface that the room's light explains; toward 0: it may be a bright surface. */
-  emitted?: number;
+  emitted: number;
   /** Equal from frame to frame at a tracked probe. */
-  number?: number;
+  number: number;
 }
 
-/** The values of a form `main_light`; servers of earlier versions send direction and intensity alone. */
+/** The values of a form `main_light`. */
 export interface MainLightValues extends LightSourceValues {
   /**
    * Up to three lights, the strongest first. At a tracked probe the main light turns from one to another at a bounded
    * rate, while these stay in their places.
    */
-  lights?: readonly LightSourceValues[];
+  lights: readonly LightSourceValues[];
 }
 
 const ODD_M: readonly number[] = [1, 3, 5, 7]; // m = -1, 1, -1, 1

@@ -145,7 +145,7 @@ function setDirectional(
 }
 
 /** The light's share of the irradiance on the ground, with other light as strong there as on a surface that faces it. */
-function shadowOnGround({ direction, shadow_strength = 1 }: MainLightValues): number {
+function shadowOnGround({ direction, shadow_strength }: MainLightValues): number {
   const share = Math.max(direction[1], 0) * shadow_strength;
   return share && share / (share + 1 - shadow_strength);
 }

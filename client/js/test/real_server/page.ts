@@ -133,7 +133,7 @@ function sphere(light: Light, view: SphereView): number[] {
 function shadows(): number[][] {
   const scene = new THREE.Scene();
   scene.background = new THREE.Color(1, 1, 1);
-  const overhead = { ...field.MAIN_LIGHT, values: { direction: [0, 1, 0], intensity: [3, 3, 3] } };
+  const overhead = { ...field.MAIN_LIGHT, values: { direction: [0, 1, 0], intensity: [3, 3, 3], shadow_strength: 1 } };
   const { directional } = applyToScene(scene, { ...field.light([cube(), overhead]), position: [0, 0, 0] });
   directional.castShadow = true;
   const floor = disc([0, 1, 0], new THREE.ShadowMaterial({ opacity: 0.5 }));

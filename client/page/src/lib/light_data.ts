@@ -25,7 +25,7 @@ export async function probeLight(name: string, frame: number, light: Light): Pro
     panorama: hdr ? timed("decode light", () => parseHdr(hdr)) : null,
     seen: confidence ? await greyOf(confidence) : null,
     harmonics: sh ? Harmonics.of(sh).coefficients.flat() : null,
-    lights: main?.lights ?? (main ? [main] : []),
+    lights: main?.lights ?? [],
   };
 }
 

@@ -172,7 +172,7 @@ function lightRow(light: LightSourceValues): HTMLTableRowElement {
   const cells = [
     directionText(light.direction),
     light.intensity.map((value) => value.toFixed(value < 10 ? 2 : 1)).join("  "),
-    light.shadow_strength === undefined ? "" : `${Math.round(100 * light.shadow_strength)} %`,
+    `${Math.round(100 * light.shadow_strength)} %`,
   ];
   return element("tr", {}, element("td", {}, swatch), ...cells.map((text) => element("td", {}, text)));
 }

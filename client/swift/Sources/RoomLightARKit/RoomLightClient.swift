@@ -30,17 +30,17 @@ public final class RoomLightClient: @unchecked Sendable {
         public let number: Int
     }
 
-    /// The main light. What servers of earlier versions do not send is nil.
+    /// The main light.
     public struct MainLight: Decodable {
         public let direction: [Float]
         public let intensity: [Float]
-        public let radius_deg: Float?
-        public let shadow_strength: Float?
-        public let emitted: Float?
-        public let number: Int?
+        public let radius_deg: Float
+        public let shadow_strength: Float
+        public let emitted: Float
+        public let number: Int
         /// Up to three lights, the strongest first. At a tracked probe the main light turns from one to another at
         /// a bounded rate, while these stay in their places.
-        public let lights: [LightSource]?
+        public let lights: [LightSource]
         /// Fraction of the sphere that was observed, 0 to 1.
         public let coverage: Double
     }
