@@ -32,7 +32,6 @@ _MESH_BYTES: Final = 24 * 2**20
 _MESHES_KEPT: Final = 4
 """Meshes kept for several clients, of up to 3 MB; making one of 16 keyframes takes 0.7 s of one core."""
 _Index = Annotated[int, Path(ge=0, le=MAX_INDEX)]
-_Metres = Annotated[float | None, Query(ge=-1000, le=1000, allow_inf_nan=False, description="World metres.")]
 
 
 def _binary(*kinds: str) -> dict[int | str, dict[str, Any]]:
