@@ -38,7 +38,7 @@ def test_a_complete_folder_loads_with_its_shapes(folder):
     assert graphs.form == "video"
     assert graphs.volume_shape == (16, 15, 21)
     assert graphs.panorama_height == 32
-    assert graphs.runtime == "cpu"
+    assert graphs.graphs["single_sg_encoder"].runtime == "cpu"
     assert len(graphs.graphs) == 10
 
 

@@ -31,6 +31,11 @@ def both_runtimes(monkeypatch, tmp_path):
     return tmp_path / "cache", opened
 
 
+def _runtime(path, **options):
+    """Where a model's graphs run."""
+    return load_graphs(path, **options).graphs["single_sg_encoder"].runtime
+
+
 def _chosen(tiny_video):
     """The runtime that is chosen for one of the graphs."""
     (graph,) = open_graphs([tiny_video / "single_sg_encoder.onnx"], "any", "auto")
@@ -62,7 +67,7 @@ def test_a_file_that_is_no_graph_is_refused_by_name(tmp_path, runtime, name):
 def test_without_openvino_onnx_runtime_runs_all(tiny_video, monkeypatch):
     monkeypatch.delenv(VARIABLE)
     monkeypatch.setattr(providers, "openvino_version", lambda: None)
-    assert load_graphs(tiny_video).runtime == "cpu"
+    assert _runtime(tiny_video) == "cpu"
     with pytest.raises(ModelError, match=r'not installed.*provider="cpu"'):
         load_graphs(tiny_video, provider="openvino")
 
@@ -86,15 +91,15 @@ def test_an_onnx_runtime_that_falls_back_to_the_cpu_is_refused(tiny_video):
 
 def test_the_variable_stands_for_auto_and_is_checked(tiny_video, monkeypatch):
     monkeypatch.setenv(VARIABLE, "cpu")
-    assert load_graphs(tiny_video).runtime == "cpu"
+    assert _runtime(tiny_video) == "cpu"
     monkeypatch.setenv(VARIABLE, "gpu")
-    assert load_graphs(tiny_video, provider="cpu").runtime == "cpu"
+    assert _runtime(tiny_video, provider="cpu") == "cpu"
     with pytest.raises(
         ModelError, match="ROOMLIGHT_PROVIDER must be one of auto, cpu, openvino, openvino-bf16, cuda; got 'gpu'"
     ):
         load_graphs(tiny_video)
     monkeypatch.setenv(VARIABLE, "")  # blank is unset
-    assert load_graphs(tiny_video).runtime != "cuda"
+    assert _runtime(tiny_video) != "cuda"
 
 
 @pytest.mark.usefixtures("both_runtimes")
@@ -119,7 +124,7 @@ def test_a_processor_without_bf16_is_not_measured_in_it(tiny_video, both_runtime
 
 def test_auto_measures_once_and_keeps_its_choice(tiny_video, both_runtimes, monkeypatch):
     folder, opened = both_runtimes
-    assert load_graphs(tiny_video).runtime in providers.CHOICES  # a real measurement
+    assert _runtime(tiny_video) in providers.CHOICES  # a real measurement
     (kept,) = folder.glob("runtime-*.json")
     stated = json.loads(kept.read_text())
     assert set(stated["least_ms"]) == set(providers.CHOICES)
@@ -128,7 +133,7 @@ def test_auto_measures_once_and_keeps_its_choice(tiny_video, both_runtimes, monk
         kept.write_text(json.dumps({"runtime": "openvino"}))
         _measured(monkeypatch, first, later)
         opened.clear()
-        assert load_graphs(tiny_video).runtime == "openvino"
+        assert _runtime(tiny_video) == "openvino"
         assert set(opened) == {"openvino"}  # the other is not even loaded
 
 

@@ -15,7 +15,6 @@ from typing import Any, Final, Literal, get_args
 
 from roomlight.engine.networks.graph import Graph
 from roomlight.engine.networks.providers import Provider, open_graphs
-from roomlight.engine.networks.runtime import RuntimeName
 from roomlight.errors import ModelError
 
 NetworkForm = Literal["single", "video"]
@@ -68,11 +67,6 @@ class LightingGraphs:
     def digest(self) -> str:
         """Identity of the weights, of all graphs together."""
         return hashlib.sha256("".join(graph.digest for graph in self.graphs.values()).encode()).hexdigest()
-
-    @property
-    def runtime(self) -> RuntimeName:
-        """Where the graphs run."""
-        return self.graphs["single_sg_encoder"].runtime
 
     @property
     def panorama_height(self) -> int:
