@@ -108,5 +108,3 @@ _NUMPY: Final = {
     "tensor(int64)": np.int64,
     "tensor(int32)": np.int32,
 }
-
-__all__ = ["CUDA", "Buffers", "OnnxRuntimeGraph", "RuntimeName", "Shapes", "ort"]
