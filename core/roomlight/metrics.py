@@ -62,11 +62,6 @@ def ldr_l2(prediction: Panorama, truth: Panorama) -> float:
     return _mean_square(np.clip(prediction, 0, 1) - np.clip(truth, 0, 1))
 
 
-def smoothness(current: Panorama, previous: Panorama) -> float:
-    """log-L2 between the estimates of consecutive frames at one point: the paper's Lsm."""
-    return log_l2(current, previous)
-
-
 def energy_ratio(prediction: Panorama, truth: Panorama) -> float:
     """Radiance summed over the sphere and the channels, as a ratio to the truth's: 1 is right; NaN for black truth."""
     weights = panorama_solid_angles(len(truth))[..., None]

@@ -20,7 +20,7 @@ from roomlight.dataset.sequence_files import FACTS
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError, ModelError, OptionError
 from roomlight.frame import Frame
-from roomlight.metrics import METRICS, SphereScorer, energy_ratio, ldr_l2, log_l2, smoothness
+from roomlight.metrics import METRICS, SphereScorer, energy_ratio, ldr_l2, log_l2
 from roomlight.spheres import SphereRenderer, resize_panorama, view_toward
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator, PredictionFolder, beside_classical
@@ -237,7 +237,7 @@ class _ProbeScorer:
             current = resize_panorama(panorama, len(self._truth))
             scores = {"log_l2": log_l2(current, self._truth), "ldr_l2": ldr_l2(current, self._truth)}
             if self._previous is not None:
-                scores["smoothness"] = smoothness(current, self._previous)
+                scores["smoothness"] = log_l2(current, self._previous)  # the paper's Lsm
             scores.update(self._judge.scores(current))
             scores["energy"] = energy_ratio(current, self._truth)
         self._previous = current
