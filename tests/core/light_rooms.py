@@ -40,8 +40,3 @@ def mean_light(panorama):
     """Mean radiance over the sphere, by solid angle."""
     weight = panorama_solid_angles(len(panorama)).astype(np.float64)[..., None]
     return (panorama * weight).sum(axis=(0, 1)) / (4 * np.pi)
-
-
-def rotate_panorama_90(panorama):
-    """The panorama rotated by 90 degrees about +Y: light from +X then comes from +Z."""
-    return np.roll(panorama, panorama.shape[1] // 4, axis=1)
