@@ -1,4 +1,4 @@
-"""A server for the modules that need no settings of their own."""
+"""A server for the modules that need no settings of their own, and a session on it."""
 
 import pytest
 
@@ -9,3 +9,9 @@ from http_servers import RunningServer
 def server():
     with RunningServer() as running:
         yield running
+
+
+@pytest.fixture(scope="module")
+def room(server):
+    """The session `room`, for modules whose tests share one."""
+    server.open()

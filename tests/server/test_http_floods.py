@@ -22,11 +22,7 @@ UPGRADE = (
 )
 
 
-@pytest.fixture(scope="module")
-def server():
-    with RunningServer() as running:
-        running.open()
-        yield running
+pytestmark = pytest.mark.usefixtures("room")
 
 
 @pytest.fixture

@@ -20,11 +20,7 @@ from roomlight_server.base.logs import JsonLines
 ID = "X-Request-Id"
 
 
-@pytest.fixture(scope="module")
-def server():
-    with RunningServer() as running:
-        running.open()
-        yield running
+pytestmark = pytest.mark.usefixtures("room")
 
 
 def test_frames_are_answered_before_all_forms_of_light_are_loaded(monkeypatch):

@@ -13,12 +13,7 @@ from websockets.sync.client import connect
 from http_servers import SMALL, TOKEN, RunningServer, answer_of, frame, with_parts
 from server_processes import Process
 
-
-@pytest.fixture(scope="module")
-def server():
-    with RunningServer() as running:
-        running.open()
-        yield running
+pytestmark = pytest.mark.usefixtures("room")
 
 
 @pytest.fixture
