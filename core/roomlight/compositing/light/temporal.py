@@ -99,7 +99,7 @@ class DepthFilter:
         """
         depth = reduced(frame.depth_m, max_width)
         near = SAME_ESTIMATED if frame.depth_estimated else SAME_SURFACE
-        previous, age = np.zeros((2, *depth.shape), np.float32)
+        previous, age = np.zeros_like(depth), np.zeros_like(depth)
         if self._before is not None:
             previous, previous_age = self._before.seen_by(frame, depth.shape)
             share = np.float32(share_of(elapsed_s(self._before.frame, frame), DEPTH_S))
