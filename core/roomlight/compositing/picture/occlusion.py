@@ -146,7 +146,8 @@ def without_islands(
         visible: 0 hidden to 1 in front.
         covered: where objects are; beyond the image's edge they may end.
     """
-    count, labels = cv2.connectedComponents((visible < 1).astype(np.uint8))
+    count, marks = cv2.connectedComponents((visible < 1).astype(np.uint8))
+    labels = np.asarray(marks, np.int32)
     ends = cv2.dilate((~np.pad(covered, 1)).astype(np.uint8), np.ones((5, 5), np.uint8))[1:-1, 1:-1] > 0
     rests = np.zeros(count, bool)
     rests[labels[ends]] = True
