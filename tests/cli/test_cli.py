@@ -234,13 +234,29 @@ def test_predictions_of_every_tenth_frame_are_scored(tmp_path: Path, roomlight: 
     assert "predictions" in scored.out
 
 
+@pytest.mark.parametrize(
+    ("name", "text"), [("replay.json", '{"capture": "/mine"}'), ("replay.json", "[]"), ("composite.mp4", "mine")]
+)
+def test_the_demo_replaces_nothing_but_an_earlier_demo(
+    name: str, text: str, tmp_path: Path, roomlight: RunCommand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for step in ("compile_beside", "replay", "composite_recording"):
+        monkeypatch.setattr(f"roomlight_cli.commands.demo.{step}", lambda *_, **__: None)
+    (tmp_path / name).write_text(text)
+    result = roomlight("demo", "--out", tmp_path)
+    assert result.code == 1
+    assert "holds other files than those of an earlier demo; choose another --out" in result.err
+
+
 @pytest.mark.slow
 def test_the_demo_needs_nothing_and_names_its_pictures(tmp_path: Path) -> None:
     sample = edited_copy(sample_capture(), tmp_path / "sample", lambda index: index.update(frames=index["frames"][:8]))
+    out = tmp_path / "roomlight-demo"
+    out.mkdir()
+    (out / "replay.json").write_text(json.dumps({"capture": str(sample)}))  # of an earlier demo, which is replaced
     code = f"from roomlight_cli.commands import demo; demo.sample_capture = lambda: demo.Path({str(sample)!r})"
     result = python(f"{code}; from roomlight_cli.main import main; main()", "demo", "--no-browser", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    out = tmp_path / "roomlight-demo"
     assert "summary.png" in result.stdout
     assert (out / "composite.mp4").stat().st_size > 10_000
     report = json.loads((out / "report.json").read_text())

@@ -8,12 +8,13 @@ from annotated_types import Interval
 from roomlight.captures import CaptureOptions
 from roomlight.compositing.placement.scene import load_scene
 from roomlight.engine.session import SessionOptions
-from roomlight.errors import OptionError
+from roomlight.errors import OptionError, OutputError
 from roomlight.sample import sample_capture
 from roomlight_cli.commands.replay import replay
 from roomlight_cli.compositing import CompositeOptions, composite_recording
 from roomlight_cli.console import say
 from roomlight_cli.live_demo import find_browser, page_is_built, run_live_demo
+from roomlight_cli.replays.replay_folder import holds_replay_of
 from roomlight_cli.replays.replay_options import ReplayOptions
 from roomlight_server.work.compiling import compile_beside
 
@@ -57,7 +58,13 @@ def demo(
 
 
 def write_pictures(capture: Path, out: Path) -> None:
-    """Light the sample room and write pictures, a report and a film with virtual objects."""
+    """Light the sample room and write pictures, a report and a film with virtual objects.
+
+    Raises:
+        OutputError: `out` holds anything but an earlier demo.
+    """
+    if not holds_replay_of(capture, out) and any(out.glob("*")):
+        raise OutputError(f"{out}: holds other files than those of an earlier demo; choose another --out")
     compile_beside("preview")
     replay(capture, ReplayOptions(probes_from_capture=True, overwrite=True), out=out)
     film = CompositeOptions(out / FILM, quality="preview", fps=FILM_RATE, overwrite=True)

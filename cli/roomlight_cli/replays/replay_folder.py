@@ -62,6 +62,12 @@ def fingerprint(capture: Path, out: Path, options: ReplayOptions) -> dict[str, s
     return {"inputs": _digest(inputs), "outputs": _digest(outputs)}
 
 
+def holds_replay_of(capture: Path, out: Path) -> bool:
+    """Whether `out` holds a replay of this capture, finished or not, with any options."""
+    intent = _read_json(out / INTENT)
+    return isinstance(intent, dict) and intent.get("capture") == str(capture.resolve())
+
+
 def refuse_foreign(out: Path, capture: Path, intent: dict[str, Any], *, overwrite: bool) -> None:
     """Check that a replay may write into `out`; changes nothing.
 
