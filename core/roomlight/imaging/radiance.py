@@ -49,19 +49,19 @@ def read_header(data: bytes, name: str) -> RadianceHeader:
     matrix, primaries, aspect = np.eye(3), REC709, 1.0
     for line in head[: match.start()].split(b"\n"):
         key, _, value = line.partition(b"=")
-        if key.strip() == b"FORMAT" and value.strip() != b"32-bit_rle_rgbe":
+        if key == b"FORMAT" and value.strip() != b"32-bit_rle_rgbe":
             raise ImageError(f"{name}: the HDR holds {value[:20].decode('latin-1')}; RGB (32-bit_rle_rgbe) is read")
-        if key.strip() not in (b"EXPOSURE", b"COLORCORR", b"PRIMARIES", b"GAMMA", b"PIXASPECT"):
+        if key not in (b"EXPOSURE", b"COLORCORR", b"PRIMARIES", b"GAMMA", b"PIXASPECT"):
             continue
         try:
             numbers = np.array(value.split(), np.float64)
-            if key.strip() == b"PRIMARIES":
+            if key == b"PRIMARIES":
                 primaries = numbers
-            elif key.strip() == b"PIXASPECT":  # a pixel's height by its width
+            elif key == b"PIXASPECT":  # a pixel's height by its width
                 aspect /= float(numbers[0])
-            elif key.strip() == b"GAMMA" and numbers[0] != 1:
+            elif key == b"GAMMA" and numbers[0] != 1:
                 raise ImageError(f"{name}: the HDR states a gamma of {numbers[0]:g}; linear values are read")
-            elif key.strip() != b"GAMMA":  # what the values were multiplied by; several lines multiply
+            elif key != b"GAMMA":  # what the values were multiplied by; several lines multiply
                 if not 0 < numbers.min() <= numbers.max() < np.inf:
                     raise ValueError(f"a factor of {value!r}")
                 matrix = matrix / np.broadcast_to(numbers, 3)[None]

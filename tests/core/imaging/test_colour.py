@@ -165,6 +165,7 @@ RADIANCE = cv2.imencode(".hdr", np.arange(1, 16 * 12 * 3 + 1).reshape(12, 16, 3)
             b"PRIMARIES=0.68 0.32 0.265 0.69 0.15 0.06 0.3127 0.329\nFORMAT",
             lambda image: np.maximum(image @ to_rec709(DISPLAY_P3).T, 0),
         ),
+        (b"FORMAT", b"pfilt -e 4\n\tEXPOSURE=4\n\tPRIMARIES=1 2\npcomb\nFORMAT", lambda image: image),  # of the inputs
         (b"-Y 12 +X 16", b"+Y 12 +X 16", lambda image: image[::-1]),
         (b"-Y 12 +X 16", b"-Y 12 -X 16", lambda image: image[:, ::-1]),
     ],
