@@ -195,7 +195,7 @@ def exr_size(data: bytes, name: str) -> tuple[int, int]:
     """Read (width, height) of the larger of data and display window, without decoding pixels. Raises ImageError."""
     sizes: list[tuple[int, int]] = []
     for window in (b"dataWindow", b"displayWindow"):
-        at = data.find(window + b"\x00box2i\x00", 0, 65536)
+        at = data.find(window + b"\x00box2i\x00")
         start = at + len(window) + 11
         if at >= 0 and len(data) >= start + 16:
             x0, y0, x1, y1 = struct.unpack_from("<iiii", data, start)

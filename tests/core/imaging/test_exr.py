@@ -67,6 +67,11 @@ def test_what_cannot_be_told_is_refused(tmp_path: Path, channels: dict[str, np.n
         decode_depth(written(tmp_path / "d.exr", channels), "d.exr")
 
 
+def test_long_attributes_may_come_before_the_size(tmp_path: Path) -> None:
+    data = written(tmp_path / "c.exr", PLANE, comments="x" * 70_000)
+    np.testing.assert_allclose(decode_picture(data, "c.exr").image[0, 0], [0.5, 0.25, 0.125])
+
+
 def test_colour_is_the_combined_layer(tmp_path: Path) -> None:
     passes = {
         **layer("V.Combined", **PLANE),
