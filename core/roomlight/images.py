@@ -32,7 +32,7 @@ from roomlight.imaging.exif import ExifCamera, oriented, read_exif
 from roomlight.imaging.exr import exr_size, read_exr
 from roomlight.imaging.heic import heic_exif, heic_size, is_heic, read_heic
 from roomlight.imaging.limits import MAX_JPEG_SEGMENTS, check_jpeg, check_png, png_of_pixels
-from roomlight.imaging.radiance import read_header, standard_size
+from roomlight.imaging.radiance import read_header
 from roomlight.imaging.tags import ImageTags, profile_to_srgb8, read_tags
 from roomlight.notes import Note, oblong_pixels
 
@@ -132,8 +132,9 @@ def decode_picture(data: bytes, name: str, *, as_stored: bool = False) -> Colour
     if is_heic(data):
         return _decode_heic(data, name)
     if data[:2] == _HDR:
+        _check_size(data, name)
         header = read_header(data, name)
-        encoded = _decode_with_opencv(standard_size(data), name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+        encoded = _decode_with_opencv(header.standard_file(data), name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
         image = _finite(header.picture(encoded[..., ::-1].astype(np.float32)), name)
         return ColourImage(image, np.zeros(image.shape[:2], bool), notes=tuple(oblong_pixels(name, header.aspect)))
     return _decode_encoded(data, name, as_stored=as_stored)

@@ -25,6 +25,7 @@ class RadianceHeader:
         from_right: Whether the last column comes first.
         matrix: From the stored values to linear Rec. 709.
         aspect: Width of a pixel by its height.
+        end: Bytes of the header; the pixels follow.
     """
 
     size: tuple[int, int]
@@ -32,6 +33,14 @@ class RadianceHeader:
     from_right: bool
     matrix: Float[np.ndarray, "3 3"]
     aspect: float
+    end: int
+
+    def standard_file(self, data: bytes) -> bytes:
+        """Return the file as OpenCV reads it: its header states the size alone; old run-length coding is undone."""
+        (width, height), pixels = self.size, data[self.end :]
+        if not (pixels.startswith(b"\2\2") and 8 <= width < 32768):  # which begins a row of the new coding
+            pixels = _without_runs(pixels, width * height)
+        return b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y %d +X %d\n" % (height, width) + pixels
 
     def picture(self, stored: Float[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
         """Return stored RGB upright, in linear Rec. 709."""
@@ -44,6 +53,8 @@ def read_header(data: bytes, name: str) -> RadianceHeader:
     """Read the header of an HDR file. Raises ImageError for one that is damaged, or whose values are not read."""
     head = data[:_HEAD_BYTES]
     match = _SIZE.search(head)
+    if match is None and b"\r\n" in head[:80]:
+        raise ImageError(f"{name}: the HDR was transferred as text, which damages pixels; transfer it as binary")
     if match is None:
         raise ImageError(f"{name}: the HDR has no size as rows of pixels (-Y HEIGHT +X WIDTH); save it upright")
     matrix, primaries, aspect = np.eye(3), REC709, 1.0
@@ -73,13 +84,23 @@ def read_header(data: bytes, name: str) -> RadianceHeader:
         match[3] == b"-",
         _of_primaries(primaries, name) @ matrix,
         aspect,
+        match.end(),
     )
 
 
-def standard_size(data: bytes) -> bytes:
-    """Return the file with its size line as decoders expect it; `RadianceHeader.picture` turns the pixels."""
-    head = _SIZE.sub(rb"\n\n-Y \2 +X \4\n", data[:_HEAD_BYTES], count=1)
-    return head + data[_HEAD_BYTES:]
+def _without_runs(stored: bytes, count: int) -> bytes:
+    """Return `count` pixels in which (1, 1, 1, n) stood for n times the one before; the next n counts 256 times n.
+
+    Other data unchanged: without runs, and of another number of pixels.
+    """
+    pixels = np.frombuffer(stored, np.uint8, len(stored) // 4 * 4).reshape(-1, 4)
+    runs = (pixels[:count, :3] == 1).all(axis=1)
+    if not runs.any() or runs[0]:
+        return stored
+    at = np.arange(len(runs))
+    shown = np.maximum.accumulate(np.where(runs, 0, at))
+    repeats = np.where(runs, pixels[:count, 3].astype(np.int64) << 8 * np.clip(at - shown - 1, 0, 3), 1)
+    return np.repeat(pixels[shown], repeats, axis=0).tobytes() if repeats.sum() == count else stored
 
 
 def _of_primaries(stated: Any, name: str) -> Float[np.ndarray, "3 3"]:

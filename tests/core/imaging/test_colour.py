@@ -166,6 +166,9 @@ RADIANCE = cv2.imencode(".hdr", np.arange(1, 16 * 12 * 3 + 1).reshape(12, 16, 3)
             lambda image: np.maximum(image @ to_rec709(DISPLAY_P3).T, 0),
         ),
         (b"FORMAT", b"pfilt -e 4\n\tEXPOSURE=4\n\tPRIMARIES=1 2\npcomb\nFORMAT", lambda image: image),  # of the inputs
+        (b"FORMAT=32-bit_rle_rgbe", b"SOFTWARE=x", lambda image: image),
+        (b"FORMAT=", b"FORMAT= ", lambda image: image),
+        (b"FORMAT", b"x" * 127 + b"\nFORMAT", lambda image: image),
         (b"-Y 12 +X 16", b"+Y 12 +X 16", lambda image: image[::-1]),
         (b"-Y 12 +X 16", b"-Y 12 -X 16", lambda image: image[:, ::-1]),
     ],
@@ -182,6 +185,7 @@ def test_the_header_of_radiance_is_read(old: bytes, new: bytes, change: Callable
         (b"FORMAT", b"GAMMA=2.2\nFORMAT", "gamma of 2.2"),
         (b"rle_rgbe", b"rle_xyze", "xyze"),
         (b"-Y 12 +X 16", b"+X 16 -Y 12", "no size as rows"),
+        (b"\nFORMAT=32-bit_rle_rgbe\n\n", b"\r\nFORMAT=32-bit_rle_rgbe\r\n\r\n", "transferred as text"),
         (b"FORMAT", b"EXPOSURE=x\nFORMAT", "EXPOSURE=x"),
         (b"FORMAT", b"EXPOSURE=0\nFORMAT", "EXPOSURE=0"),
         (b"FORMAT", b"COLORCORR=1 -2 1\nFORMAT", "COLORCORR=1 -2 1"),
@@ -191,6 +195,26 @@ def test_the_header_of_radiance_is_read(old: bytes, new: bytes, change: Callable
 def test_what_is_not_read_of_radiance_is_refused_by_name(old: bytes, new: bytes, says: str) -> None:
     with pytest.raises(ImageError, match=rf"^x\.hdr: .*{says}"):
         decode_picture(RADIANCE.tobytes().replace(old, new, 1), "x.hdr")
+
+
+def old_coding(runs: list[int], width: int, height: int) -> bytes:
+    """A grey pixel and runs of it in the old coding of Radiance."""
+    header = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y %d +X %d\n" % (height, width)
+    return header + bytes([128, 128, 128, 129]) + b"".join(bytes([1, 1, 1, run]) for run in runs)
+
+
+def test_old_run_length_coding_of_radiance_is_read() -> None:
+    np.testing.assert_array_equal(decode_picture(old_coding([43, 1], 30, 10), "x.hdr").image, np.ones((10, 30, 3)))
+    for runs in ([42, 1], [43]):
+        with pytest.raises(ImageError, match="truncated or damaged"):
+            decode_picture(old_coding(runs, 30, 10), "x.hdr")
+
+
+def test_runs_of_radiance_are_not_undone_beyond_the_largest_picture() -> None:
+    millions, rest = divmod(999_999**2 - 1, 1 << 24)
+    runs = [*rest.to_bytes(3, "little"), *[255] * (millions // 255), millions % 255]
+    with pytest.raises(ImageError, match="999999 x 999999 pixels; up to"):
+        decode_picture(old_coding(runs, 999_999, 999_999), "x.hdr")
 
 
 def test_oblong_pixels_of_radiance_are_said() -> None:
