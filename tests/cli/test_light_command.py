@@ -21,6 +21,7 @@ from roomlight.images import read_panorama
 from roomlight.imaging.exif import oriented
 from roomlight.imaging.video_writer import VideoWriter
 from roomlight.placement import point_at_pixel
+from roomlight_cli.commands import light as light_command
 from roomlight_cli.photo import PhotoPoints, check_output, light_photo
 from rooms import BoxRoom, camera_at
 
@@ -195,6 +196,16 @@ def test_an_unknown_field_of_view_and_a_point_behind_the_camera_get_warnings(roo
     behind, ahead = result.out.split("(0.00, -0.20, -1.50) m:")
     assert "warning: this point is behind the camera" in behind
     assert "this point is behind" not in ahead
+
+
+def test_the_light_is_written_before_a_reader_of_the_output_can_leave(room, roomlight, monkeypatch):
+    def left(_):
+        raise BrokenPipeError
+
+    monkeypatch.setattr(light_command, "say", left)
+    files = ("photo.png", "--depth", "depth.png", "--out", "out", "--model", "classical", "--height", "16")
+    roomlight("light", *files, "--probe", "0,-0.2,-1.5", cwd=room[0])
+    assert (room[0] / "out" / "light.json").exists()
 
 
 # --- field of view and orientation from EXIF -------------------------------------------------------------------------

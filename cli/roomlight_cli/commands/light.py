@@ -55,12 +55,12 @@ def light(
     photo = read_photo(image, depth, reading)
     positions = points.positions(photo.frame)
     graphs = choose_graphs(options)
-    _print_field_of_view(photo)
-    _print_tilt(photo)
     print_notes(photo.notes)
     with Progress("estimating the light"):
         warm_up()
         lights = light_photo([photo.frame], positions, out, options=options, graphs=graphs, forms=forms)
+    _print_field_of_view(photo)
+    _print_tilt(photo)
     _print_lights(lights, out)
 
 
