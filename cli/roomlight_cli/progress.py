@@ -33,7 +33,7 @@ class Progress:
         self._first: tuple[str, int, float] = ("", 0, 0.0)  # what was first counted of this text, and when
         self._ended = threading.Event()
         self._bars: Bars | None = None
-        if self.console.is_terminal:
+        if self.console.is_interactive:  # not where TERM is dumb
             columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
             self._bars = Bars(*columns, TimeRemainingColumn(), console=self.console, transient=True)
             self._task = self._bars.add_task(escape(text), total=None)

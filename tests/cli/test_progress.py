@@ -1,13 +1,16 @@
 """Progress without a terminal is lines; on one it is a bar."""
 
 import io
+from unittest import mock
 
 import pytest
 from rich.console import Console
 
 from roomlight_cli import progress as progress_module
 from roomlight_cli import shared_options
+from roomlight_cli.commands import stream as stream_command
 from roomlight_cli.progress import Progress, duration
+from roomlight_cli.stream import Tally
 
 
 def test_a_line_says_what_how_much_and_for_how_long() -> None:
@@ -48,9 +51,19 @@ def test_lines_are_printed_while_the_work_goes_on(monkeypatch: pytest.MonkeyPatc
 
 def test_a_terminal_has_a_bar() -> None:
     stream = io.StringIO()
-    with Progress("replaying", Console(file=stream, force_terminal=True, width=100)) as shown:
+    with Progress("replaying", Console(file=stream, force_terminal=True, width=100, _environ={})) as shown:
         shown.count(2, 4)
     assert "2/4" in stream.getvalue()
+
+
+def test_a_dumb_terminal_has_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    console = Console(file=io.StringIO(), force_terminal=True, _environ={"TERM": "dumb"})
+    thread = mock.Mock()
+    monkeypatch.setattr(progress_module.threading, "Thread", thread)
+    monkeypatch.setattr(progress_module.consoles, "err", console)
+    monkeypatch.setattr(stream_command, "err", console)
+    with Progress("replaying"), stream_command._live_tally(Tally()):
+        assert thread.call_count == 2  # that print lines
 
 
 def test_durations() -> None:

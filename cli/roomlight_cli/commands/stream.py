@@ -64,7 +64,7 @@ def stream(
 @contextmanager
 def _live_tally(tally: Tally) -> Generator[Callable[[Tally], None]]:
     """Yield what shows the tally: as a table on a terminal, else as lines of progress."""
-    if err.is_terminal:
+    if err.is_interactive:
         with Live(_live_table(tally), console=err, transient=True, refresh_per_second=4) as live:
             yield lambda now: live.update(_live_table(now))
     else:
