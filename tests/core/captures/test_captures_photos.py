@@ -11,16 +11,18 @@ import heic_files
 import numpy as np
 import pytest
 from PIL import ExifTags, Image, ImageCms
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from colour_profiles import matrix_profile
 from roomlight.captures import open_capture
 from roomlight.captures.bare_video import panorama_like
 from roomlight.captures.notes import round_picture
 from roomlight.captures.photo import PhotoOptions, read_photo
-from roomlight.conventions import srgb8_to_linear
+from roomlight.conventions import srgb8_to_linear, srgb_to_linear
 from roomlight.errors import ImageError, RoomLightError
 from roomlight.images import decode_picture
 from roomlight.imaging.colour_spaces import DISPLAY_P3
+from roomlight.imaging.exif import oriented
 from roomlight.imaging.other_formats import as_png
 
 LOW, HIGH = 0.25, 2.25
@@ -203,6 +205,44 @@ def test_photos_of_other_formats_are_those_of_png(tmp_path: Path, ending: str, o
     if ending == "webp":  # Pillow writes no focal length into a TIFF
         assert photo.fov_source == "exif"
         assert photo.fov_deg == whole.fov_deg
+
+
+def tiff16(pixels: np.ndarray, tags: dict[int, Any]) -> bytes:
+    """Write RGB or RGBA of 16 bits with TIFF's tags; Pillow writes 8 bits, but adds where pixels begin (273)."""
+    height, width, channels = pixels.shape
+    directory = ImageFileDirectory_v2(prefix=b"II")
+    layout = {256: width, 257: height, 258: (16,) * channels, 259: 1, 262: 2, 273: 0, 277: channels, 278: height}
+    for tag, value in {**layout, 279: pixels.nbytes, **tags}.items():
+        directory[tag] = value
+    return b"II*\0\10\0\0\0" + directory.tobytes(8) + pixels.tobytes()
+
+
+@pytest.mark.parametrize("turn", [1, 6, 7])
+@pytest.mark.parametrize(("channels", "alpha"), [(3, None), (4, 0), (4, 1), (4, 2)])
+def test_a_tiff_of_16_bits_keeps_them(turn: int, channels: int, alpha: int | None) -> None:
+    pixels = np.random.default_rng(1).integers(0, 65536, (24, 32, channels)).astype(np.uint16)
+    truth = pixels[..., :3] / 65535
+    if alpha == 1:  # colour is multiplied by it
+        pixels[..., 3] |= 1 << 14
+        pixels[..., :3] = np.rint(truth * pixels[..., 3:])
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    tags = {274: turn, 34675: profile, **({} if alpha is None else {338: alpha})}
+    png = as_png(tiff16(pixels, tags), "a", max_pixels=1000)
+    assert b"iCCP" in png
+    stored, upright = decode_picture(png, "a", as_stored=True), decode_picture(png, "a")
+    np.testing.assert_allclose(stored.image, srgb_to_linear(truth), atol=1e-4 if alpha == 1 else 1e-6)
+    np.testing.assert_array_equal(upright.image, oriented(stored.image, turn))
+    assert (stored.seen is None) == (alpha not in (1, 2))
+    if stored.seen is not None:
+        np.testing.assert_array_equal(stored.seen, pixels[..., 3] >= 32768)
+
+
+def test_a_tiff_of_16_bits_with_channels_apart_or_cut_off_is_refused() -> None:
+    pixels = np.ones((8, 8, 3), np.uint16)
+    planes = {284: 2, 273: (0, 128, 256), 279: (128, 128, 128)}
+    for data, says in ((tiff16(pixels, planes), "channels apart"), (tiff16(pixels, {})[:-99], "truncated")):
+        with pytest.raises(ImageError, match=rf"^a: the TIFF does not decode \(16 bits.*{says}"):
+            as_png(data, "a", max_pixels=1000)
 
 
 def test_transparent_pixels_of_a_webp_are_not_seen(tmp_path: Path) -> None:
