@@ -15,11 +15,14 @@ from roomlight.compositing.compositor import Compositor, composite
 from roomlight.compositing.kernels.reproject import accumulate_image
 from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.light.probes import given_light
-from roomlight.compositing.light.temporal import LIGHT_S, DepthFilter, EasedLight, share_of
+from roomlight.compositing.light.temporal import LIGHT_S, DepthFilter, EasedLight, share_of, without_gaps
 from roomlight.compositing.objects.materials import diffuse, glass, mirror
 from roomlight.compositing.objects.primitives import cube, plane, sphere
 from roomlight.compositing.picture.camera_match import CameraModel, add_noise, measure_camera
+from roomlight.compositing.picture.estimated_depth import fitted_to_supports
 from roomlight.compositing.picture.layers import encode_srgb8
+from roomlight.compositing.placement.places import Plane
+from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.compositing.placement.scene import AtPixel, AtPosition, Motion, MotionKey, SceneObject
 from roomlight.conventions import linear_to_srgb, linear_to_srgb8, srgb8_to_linear
 from roomlight.engine.session import Session
@@ -204,6 +207,19 @@ def test_objects_stand_where_they_are_though_estimated_depth_is_wrong(session, f
     assert np.abs(made.shadow - true.shadow)[shaded].mean() < 0.02  # 0.3 if the floor is elsewhere
 
 
+def test_estimated_depth_goes_to_the_nearest_support_alone():
+    clean, up = view(), np.array([0.0, 1.0, 0.0])
+    supports = [Plane(np.zeros(3), up), Plane(0.3 * up, up)]  # a ball on the floor, a wardrobe on a step
+    spheres = [np.array([0.3, 0.1, -0.3, 0.1]), np.array([1.0, 1.0, -0.4, 0.7])]
+    depth_m = clean.depth_m * np.float32(1.01)
+    fitted = fitted_to_supports(depth_m, replace(clean, depth_estimated=True), supports, spheres, RoomGeometry())
+    lens = clean.intrinsics.resized(*fitted.shape[::-1])
+    points = transform_points(clean.camera_to_world, lens.rays() * fitted[..., None])
+    around = np.linalg.norm(points - (0.3, 0, -0.3), axis=-1) < 0.15
+    assert around.sum() > 200
+    assert points[around, 1] == pytest.approx(0, abs=1e-3)
+
+
 def test_an_object_is_placed_by_a_pixel_of_its_frame(session):
     before = session.handles
     held = replace(BALL, place=AtPixel(200.0, 180.0, frame=5))
@@ -322,6 +338,20 @@ def test_estimated_depth_is_near_only_where_two_frames_show_it():
         results.append(float((depth_filter.push(frame) / clean.depth_m).mean()))
     assert min(results[:5]) > 0.95
     assert results[5] == pytest.approx(0.5)
+
+
+def test_gaps_between_reprojected_pixels_are_filled_and_what_was_not_seen_is_not():
+    depth_m = np.full((20, 30), 2.0, np.float32)
+    depth_m[:, 20:] = 1.0
+    depth_m[5], depth_m[:, 12], depth_m[10:, 25:] = 0, 0, 0
+    filled = without_gaps(depth_m)
+    expected = np.where(depth_m > 0, depth_m, np.float32(2))
+    expected[5, 19:] = 1.0
+    expected[11:, 26:] = 0
+    inside = np.s_[1:-1, 1:-1]
+    assert (filled[inside] == expected[inside]).mean() > 0.95
+    assert (filled[5, 1:-1] > 0).all()
+    assert (filled[12:-1, 27:-1] == 0).all()
 
 
 def test_depth_follows_a_moving_camera_and_its_lens():

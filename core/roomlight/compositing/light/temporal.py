@@ -32,10 +32,12 @@ SAME_SURFACE: Final = 0.04
 SAME_ESTIMATED: Final = 0.3
 """The same for estimated depth, which is wrong by another factor in each frame. With it, and real things in front only
 where two frames show them, the visible share of objects in a Kinect's film differs from the median of five frames by
-0.018 instead of 0.041 (by its depth 0.005); 108 placements in 12 captures: 0.009 instead of 0.011."""
+0.017 instead of 0.041 (by its depth 0.005); 108 placements in 12 captures: 0.009 instead of 0.011."""
 MAX_HELD: Final = 10
 """Frames that depth is held for where the sensor stops giving it."""
 MAX_DEPTH_WIDTH: Final = 320
+_AROUND: Final = 4
+"""Known neighbours, of 8, of a pixel that is a gap of reprojection; elsewhere nothing was seen."""
 
 
 def share_of(elapsed_s: float, constant_s: float) -> float:
@@ -109,7 +111,15 @@ class DepthFilter:
             blended = previous + share * (depth - previous)
             depth = np.where(same, blended, np.where(gone, previous, depth)).astype(np.float32)
         self._before = _AgedDepth(frame, depth, age)
-        return np.maximum(depth, previous) if frame.depth_estimated else depth
+        return np.maximum(depth, without_gaps(previous)) if frame.depth_estimated else depth
+
+
+def without_gaps(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Return reprojected depth with the gaps between its pixels filled by the nearest of those around them."""
+    gap, box = depth <= 0, np.ones((3, 3), np.uint8)
+    inside = cv2.boxFilter((~gap).astype(np.float32), -1, (3, 3), normalize=False) >= _AROUND
+    nearest = cv2.erode(np.where(gap, np.float32(np.inf), depth), box)
+    return np.where(gap & inside, nearest, depth).astype(np.float32)
 
 
 @dataclass(frozen=True)
