@@ -324,8 +324,7 @@ class AsyncStream:
         error = self._dropped or UnreachableError(f"{self._link.options.url}: closed ({code}: {reason})")
         if code == _TOO_BIG:
             self._give_up_sent(error)
-        gone = reason in ("session-not-found", "session-closed")
-        if reason == "session-failed" or code == 4422 or (gone and not self._memory.can_reopen):
+        if reason == "session-failed" or code == 4422:
             raise error
         return error
 
@@ -437,10 +436,10 @@ class AsyncStream:
         index, frames = message.index, self._memory.frames
         frame = None if index is None else frames.find(index)
         stopping = is_server_lost(error)
-        if stopping or (is_session_gone(error) and self._memory.can_reopen):
+        if stopping or is_session_gone(error):
             if stopping and frame is not None:
                 frame.sends -= 1  # not the reason for the end of the connection
-            return self._drop(error)  # what was sent is sent again, to the session's next server or next session
+            return self._drop(error)  # what was sent is sent again, to the session's next server, or as it is restored
         conflict = isinstance(error, RefusedError) and error.kind == "frame-conflict"
         if index is not None and frame is not None and frame.sends > 1 and conflict:
             frame.state = "done"  # it had arrived over the previous connection

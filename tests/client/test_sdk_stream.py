@@ -324,6 +324,17 @@ def test_a_deleted_foreign_or_failed_session_stays_closed(end):
     play(work)
 
 
+def test_a_joined_session_that_was_only_saved_goes_on():
+    async def work(room, session, stream):
+        session._recovery.memory.request = None  # as after `join`
+        await room.sockets[-1].close(4410, "session-closed")
+        closed = {"type": "urn:roomlight:problem:session-closed", "title": "No", "status": 410, "detail": "idle"}
+        room.answers[0] = [{"type": "problem", "problem": closed, "index": 0}]
+        assert (await stream.push(FRAMES[0])).status == "processed"
+
+    assert play(work).states.count("open") == 3
+
+
 def test_a_frame_that_ends_each_connection_is_given_up():
     async def work(room, _, stream):
         room.answers[0] = ["cut unseen"] * 5

@@ -305,14 +305,14 @@ export class Stream {
   }
 
   private refused(error: RoomLightError, index: number | null, request: string | null): void {
-    const { frames, canReopen } = this.link.memory;
+    const { frames } = this.link.memory;
     const frame = index === null ? undefined : frames.find(index);
     const stopping = isServerLost(error);
-    if ((stopping || (isSessionGone(error) && canReopen)) && this.link.client.reconnect !== false) {
+    if ((stopping || isSessionGone(error)) && this.link.client.reconnect !== false) {
       if (stopping && frame) {
         frame.sends--; // not the reason for the end of the connection
       }
-      return this.drop(error); // what was sent is sent again, to the session's next server or next session
+      return this.drop(error); // what was sent is sent again, to the session's next server, or as it is restored
     }
     if (index !== null && frame && frame.sends > 1 && error.kind === "frame-conflict") {
       frame.state = "done"; // it had arrived over the previous connection
@@ -397,8 +397,7 @@ export class Stream {
         this.take(`frame ${index}`)?.reject(error);
       }
     }
-    const isGone = reason === "session-not-found" || reason === "session-closed";
-    if (reason === "session-failed" || code === 4422 || (isGone && !this.link.memory.canReopen)) {
+    if (reason === "session-failed" || code === 4422) {
       return this.finish(error);
     }
     void this.reconnect(error);

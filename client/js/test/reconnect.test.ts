@@ -314,6 +314,21 @@ test("a joined or deleted session is not opened again", async (context) => {
   assert.equal(room.log.filter((entry) => entry === "PUT").length, 1);
 });
 
+test("a joined session that was only saved goes on", async (context) => {
+  const room = new Room();
+  const { session, stream, settled } = await room.stream(context);
+  Object.assign((session as unknown as { memory: object }).memory, { request: null });
+  const opened = settled();
+  room.sockets[0]!.close(4410, "session-closed");
+  await opened;
+  room.answer = (index) => {
+    room.lastIndex = null;
+    const saved = { type: "problem", index, problem: problemBody("session-closed", 410) };
+    return room.sockets.length === 2 ? saved : { type: "frame", ...result(index) };
+  };
+  assert.equal((await stream.push(plainFrame())).status, "processed");
+});
+
 test("a frame that ends each connection is given up", async (context) => {
   const room = new Room();
   const { stream } = await room.stream(context);
