@@ -392,8 +392,12 @@ def test_idle_sessions_leave_memory_and_come_back(tmp_path):
             # accepted before the session is looked up: it would be restored
             server.wait_until(lambda: "roomlight_streams 1.0" in server.call("GET", "/metrics").body.decode())
             now_s[0] += 201
+            socket.send(frame(YAWS[1], index=1))
+            for index in (1, None):
+                message = json.loads(socket.recv())
+                assert (message.get("index"), message["problem"]["status"]) == (index, 410)
+                assert re.search("idle.* it is saved, and goes on", message["problem"]["detail"])
             assert server.call("GET", "/v1/sessions").json["sessions"][0]["status"] == "saved"
-            assert re.search("idle.* it is saved, and goes on", json.loads(socket.recv())["problem"]["detail"])
         assert idle_times(server)["room"] >= 200
         (state,) = (tmp_path / "state/sessions").glob("*/state")
         server.open("another")

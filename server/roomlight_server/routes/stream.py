@@ -120,10 +120,9 @@ class _Connection:
             message = await self._received.get()
             data, text = message.get("bytes"), message.get("text")
             async with self._answering_errors(frame=data):
-                with self._context.registry.use(self._owner, self._live.name) as live:
-                    live.check_open()
-                    if live is not self._live:
-                        raise ProblemError("session-closed", "the session was deleted; connect again")
+                self._context.registry.expire()
+                self._live.check_open()  # says whether it was deleted, saved or moved, also if another has its id now
+                with self._context.registry.use(self._owner, self._live.name):
                     if data is not None:
                         await self._start_frame(data)
                     elif text is not None:
