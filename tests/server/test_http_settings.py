@@ -38,8 +38,9 @@ def test_options_override_the_environment(monkeypatch):
     assert (settings.port, settings.max_sessions, settings.max_probes) == (9001, 3, 16)
 
 
-def test_an_owner_gets_half_if_there_are_several():
-    one, several = load_settings(tokens=(TOKEN,)), load_settings(tokens=(TOKEN, f"{TOKEN}-two"))
+@pytest.mark.parametrize("more", [{"tokens": (TOKEN, f"{TOKEN}-two")}, {"public_url": "https://a.example"}])
+def test_an_owner_gets_half_if_there_are_several(more):
+    one, several = load_settings(tokens=(TOKEN,)), load_settings(**{"tokens": (TOKEN,)} | more)
     assert one.owner_pending_bytes == one.max_pending_bytes == 2 * several.owner_pending_bytes
     assert one.owner_sessions == one.max_sessions == 2 * several.owner_sessions
 

@@ -263,8 +263,8 @@ class ServerSettings(BaseSettings):
 
     @property
     def several_owners(self) -> bool:
-        """Whether several tokens share the server: those of the settings, or of phones."""
-        return len(self.tokens) > 1 or self.on_lan
+        """Whether several tokens share the server: those of the settings, or of phones that pair with one."""
+        return len(self.tokens) > 1 or self.on_lan or (bool(self.tokens) and self.public_url is not None)
 
     @property
     def owner_sessions(self) -> int:
