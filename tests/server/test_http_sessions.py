@@ -121,6 +121,13 @@ def test_a_body_that_is_not_json_is_rejected(server):
     assert (long.status, long.kind) == (413, "too-large")
 
 
+def test_text_that_is_not_json_is_named_with_its_place(server):
+    headers = {"Content-Type": "application/json"}
+    answer = server.call("PUT", "/v1/sessions/new", b'{"height": }', headers=headers)
+    assert (answer.status, answer.json["field"], answer.json["value"]) == (422, "body", "'}'")
+    assert answer.json["detail"] == "body: must be JSON (expecting value at character 11)"
+
+
 def test_a_session_belongs_to_the_token_that_opened_it():
     with RunningServer(tokens=(TOKEN, OTHER)) as server:
         mine, yours = TOKEN, OTHER

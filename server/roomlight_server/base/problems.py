@@ -175,6 +175,10 @@ async def on_invalid(request: Request, error: Exception) -> JSONResponse:
     field = ".".join(location[1:]) if len(location) > 1 else location[0]
     rule = rule_text(str(first["msg"]))
     value = "nothing" if first["type"] == "missing" else ascii(first.get("input"))
+    if first["type"] == "json_invalid":  # the location is a position in the text
+        at = first["loc"][1]
+        field, rule = "body", f"must be JSON ({rule_text(first['ctx']['error'])} at character {at})"
+        value = ascii(error.body[at : at + 40])
     return _answered(request, ProblemError("invalid", f"{field}: {rule}", field=field, value=value, rule=rule))
 
 
