@@ -171,6 +171,7 @@ def test_a_full_server_answers_with_retry_after():
         full = server.call("PUT", "/v1/sessions/three", SMALL)
         assert (full.status, full.kind) == (503, "server-full")
         assert full.headers["retry-after"] == "30"
+        assert all(name in full.json["detail"] for name in ("GET /v1/sessions", "--max-sessions", "--idle-expiry-s"))
         assert server.open("one").status == 200
         server.call("DELETE", "/v1/sessions/two")
         assert server.open("three").status == 201

@@ -327,7 +327,8 @@ class Registry:
         if len(self._sessions) >= limit:
             raise ProblemError(
                 "server-full",
-                f"{limit} sessions are open; delete one that is no longer needed, or retry later",
+                f"{limit} sessions are open; delete one that is no longer needed (`GET /v1/sessions` lists them), or "
+                "retry later; the server's settings are --max-sessions and --idle-expiry-s",
                 rule=f"at most {limit} sessions",
                 retry_after_s=self._expected_wait_s(),
             )
