@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
 
 from http_servers import TOKEN, Held, HeldSession, RunningServer, frame
 from roomlight.engine.session import Session
@@ -266,12 +267,25 @@ def test_a_stream_without_a_session_is_closed_with_its_code(server, name, status
         assert stream.close_code() == code
 
 
+def test_a_handshake_that_misses_the_stream_says_why(server):
+    answer = server.call("GET", "/v1/sessions/room/stream?v=1")  # what is left if a proxy drops Upgrade
+    assert (answer.status, answer.kind, answer.headers["upgrade"]) == (426, "upgrade-required", "websocket")
+    assert "a proxy must pass Upgrade and Connection" in answer.json["detail"]
+    with pytest.raises(InvalidStatus) as refused, connect(f"ws://127.0.0.1:{server.port}/v1/session/room/stream"):
+        pass
+    response = refused.value.response
+    assert (response.status_code, response.headers["Content-Type"]) == (404, "application/problem+json")
+    assert "X-Request-Id" in response.headers
+    assert "streams are at /v1/sessions/{id}/stream" in json.loads(response.body or b"")["detail"]
+
+
 def test_a_stream_needs_a_token_and_an_allowed_origin(server):
     server.open("guarded")
     with pytest.raises(InvalidStatus, match="403"), streaming(server, "guarded", origin="https://evil.example"):
         pass
     with RunningServer(tokens=(TOKEN,)) as locked:
         locked.open(token=TOKEN)
+        assert locked.call("GET", "/v1/sessions/room/stream").status == 426  # a browser's token is a subprotocol
         ways: list[dict[str, Any]] = [{"token": TOKEN}, {"subprotocols": ["roomlight.v1", f"bearer.{TOKEN}"]}]
         for way in ways:
             with streaming(locked, **way) as stream:

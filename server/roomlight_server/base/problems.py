@@ -64,6 +64,7 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "bad-recording": (422, "Recording cannot be read"),
     "bad-place": (422, "Object cannot be placed"),
     "invalid": (422, "Request is invalid"),
+    "upgrade-required": (426, "Path is that of a WebSocket"),
     "session-full": (429, "Session queue is full"),
     "owner-quota": (429, "Limit of the token reached"),
     "owner-busy": (429, "Memory limit of the token's requests and answers reached"),
@@ -134,6 +135,8 @@ def problem_response(error: ProblemError) -> JSONResponse:
         headers["Retry-After"] = str(error.retry_after_s)
     if error.problem.status == 401:
         headers["WWW-Authenticate"] = "Bearer"
+    if error.problem.status == 426:
+        headers |= {"Connection": "Upgrade", "Upgrade": "websocket"}
     content = error.problem.model_dump(exclude_none=True)
     return JSONResponse(content, error.problem.status, headers=headers, media_type=MEDIA_TYPE)
 

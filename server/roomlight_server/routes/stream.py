@@ -81,6 +81,13 @@ async def stream(websocket: WebSocket, session_id: str) -> None:
         await _Connection(websocket, context, owner, live).run()
 
 
+@router.websocket("/{path:path}")
+async def refuse_other_path(websocket: WebSocket) -> None:
+    """Answer a WebSocket of another path over HTTP, before it is accepted."""
+    detail = f"no WebSocket at {websocket.url.path[:100]}; streams are at /v1/sessions/{{id}}/stream"
+    await websocket.send_denial_response(problem_response(ProblemError("not-found", detail)))
+
+
 class _Connection:
     """One connection: a task that reads messages, a task that sends updates, and a task per frame in flight."""
 

@@ -35,6 +35,7 @@ PHONES: Final = "/v1/phones"
 SUBPROTOCOL: Final = "roomlight.v1"
 _BEARER_SUBPROTOCOL: Final = "bearer."
 SESSION_PATH: Final = re.compile(r"/v1/sessions/([^/]+)")
+_STREAM_PATH: Final = re.compile(r"/v1/sessions/[^/]+/stream")
 
 
 class Tokens:
@@ -71,7 +72,7 @@ class Tokens:
 
 
 class AuthMiddleware:
-    """Sets `scope["state"]["owner"]`, or answers 401 or 403 before the body is read."""
+    """Sets `scope["state"]["owner"]`, or answers 401, 403 or 426 before the body is read."""
 
     def __init__(
         self, app: ASGIApp, *, settings: ServerSettings, tokens: Tokens, metrics: Metrics, guard: ConnectionGuard
@@ -124,6 +125,9 @@ class AuthMiddleware:
             return ProblemError("forbidden-origin", "a page of another site sent this request", field="Sec-Fetch-Site")
         if scope["path"] == PHONES and scope.get("method") == "POST":
             return None
+        if scope["type"] == "http" and _STREAM_PATH.fullmatch(scope["path"]):  # a browser's token is a subprotocol
+            detail = "the path needs a WebSocket handshake; a proxy must pass Upgrade and Connection"
+            return ProblemError("upgrade-required", detail, field="Upgrade")
         token = token_of(scope, headers)
         owner = self._tokens.owner(token)
         if owner is None:
