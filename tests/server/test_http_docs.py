@@ -5,6 +5,7 @@ import re
 import pytest
 
 from http_servers import RunningServer
+from roomlight_server.base.problems import RESTORE_PROBLEMS
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def test_the_docs_page_needs_no_other_host_and_no_token(server):
 
 def test_the_openapi_document_has_schemas_of_all_answers_and_messages_and_the_headers_of_etags(server):
     document = server.call("GET", "/openapi.json").json
-    for operations in document["paths"].values():
+    for path, operations in document["paths"].items():
         for operation in operations.values():
             answers = operation["responses"]
             contents = [content for answer in answers.values() for content in answer.get("content", {}).values()]
@@ -43,6 +44,10 @@ def test_the_openapi_document_has_schemas_of_all_answers_and_messages_and_the_he
             for status, answer in answers.items():
                 if status.startswith(("4", "5")) and status != "503":
                     assert "application/problem+json" in answer["content"], (operation["summary"], status)
+            names = re.findall("`([a-z-]+)`: ", " ".join(answer["description"] for answer in answers.values()))
+            assert len(set(names)) == len(names), operation["summary"]
+            if path.startswith("/v1/sessions/{session_id}") and operation["operationId"] != "delete_session":
+                assert set(RESTORE_PROBLEMS) <= set(names), operation["summary"]
     assert {"FrameHeader", "Problem", "LightingUpdate", "Subscribe"} <= document["components"]["schemas"].keys()
     film = document["paths"]["/v1/recordings/{recording_id}/film"]["get"]["responses"]["200"]
     assert film["content"]["video/mp4"]["schema"] == {"type": "string", "format": "binary"}

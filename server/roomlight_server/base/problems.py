@@ -86,7 +86,12 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
 """Status and title of each kind of problem; the kind is the end of the problem's `type`."""
 BODY_PROBLEMS: Final = ("bad-request", "body-timeout", "too-large", "unsupported-media-type")
 """Kinds of problem of any request with a body."""
-SESSION_PROBLEMS: Final = ("unauthorized", "session-not-found", "session-failed", "session-closed", "invalid")
+RESTORE_PROBLEMS: Final = (
+    *("unauthorized", "session-conflict", "state-refused", "model-not-here", "invalid", "owner-quota"),
+    *("server-full", "session-moved", "state-unavailable", "stopping"),
+)
+"""Kinds of problem of any request that opens or restores a session."""
+SESSION_PROBLEMS: Final = (*RESTORE_PROBLEMS, "session-not-found", "session-failed", "session-closed")
 """Kinds of problem of any request to an open session."""
 _KINDS: Final[Mapping[int, str]] = {
     404: "not-found",

@@ -12,7 +12,7 @@ from roomlight.errors import ObjectError, ProbeError, SceneError
 from roomlight.wire.compositing import CompositeRequest
 from roomlight_server.answers.composites import BOXES, MEDIA_TYPES, encode, make, memory_of, scene_of
 from roomlight_server.base.byte_budget import Reservation
-from roomlight_server.base.problems import BODY_PROBLEMS, ProblemError, documented
+from roomlight_server.base.problems import BODY_PROBLEMS, SESSION_PROBLEMS, ProblemError, documented
 from roomlight_server.routes.context import Context, ContextDep, OwnerDep, ReservationDep, SessionDep
 from roomlight_server.routes.light import FRAME_HEADER
 from roomlight_server.sessions.live_session import LiveSession
@@ -61,9 +61,8 @@ _EXAMPLES: Final[dict[str, Any]] = {
     response_class=Response,
     responses=_OK
     | documented(
-        *(*BODY_PROBLEMS, "unauthorized", "session-not-found", "session-failed", "session-closed", "object-not-found"),
-        *("no-frame", "invalid", "bad-place", "composite-running", "owner-busy", "engine-failed", "server-busy"),
-        "composite-late",
+        *(*BODY_PROBLEMS, *SESSION_PROBLEMS, "object-not-found", "no-frame", "bad-place", "composite-running"),
+        *("owner-busy", "engine-failed", "server-busy", "composite-late"),
     ),
 )
 async def composite(

@@ -150,8 +150,7 @@ _FormDep = Annotated[LightForm, Depends(_form)]
     "/probe",
     summary="Light at a point",
     response_class=Response,
-    responses=_PROBE_RESPONSES
-    | documented(*SESSION_PROBLEMS, "owner-quota", "owner-busy", "engine-failed", "server-busy"),
+    responses=_PROBE_RESPONSES | documented(*SESSION_PROBLEMS, "owner-busy", "engine-failed", "server-busy"),
 )
 async def probe(
     live: SessionDep,
@@ -195,9 +194,7 @@ async def named_probe(
     "/probes/{name}",
     summary="Track a named probe",
     responses={201: {"model": ProbeBody, "description": "A new probe is tracked"}}
-    | documented(
-        *(*BODY_PROBLEMS, *SESSION_PROBLEMS, "too-many-probes", "owner-quota", "engine-failed"),
-    ),
+    | documented(*BODY_PROBLEMS, *SESSION_PROBLEMS, "too-many-probes", "engine-failed"),
 )
 async def put_probe(
     live: SessionDep,
@@ -226,17 +223,7 @@ async def delete_probe(live: SessionDep, name: ProbeName) -> None:
     summary="Light at many points",
     response_model=LightResponse,
     responses={200: {"description": "The light in the order of the request", "content": {MEDIA_TYPE: {}}}}
-    | documented(
-        *(
-            *BODY_PROBLEMS,
-            *SESSION_PROBLEMS,
-            "probe-not-found",
-            "owner-quota",
-            "owner-busy",
-            "engine-failed",
-            "server-busy",
-        )
-    ),
+    | documented(*(*BODY_PROBLEMS, *SESSION_PROBLEMS, "probe-not-found", "owner-busy", "engine-failed", "server-busy")),
 )
 async def probes(
     live: SessionDep,

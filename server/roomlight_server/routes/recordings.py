@@ -9,7 +9,7 @@ from fastapi.responses import FileResponse, JSONResponse
 from roomlight.wire.compositing import CompositeRequest
 from roomlight.wire.recordings import FilmRequest, Recording, RecordingList, RecordingRequest, ReplayRequest
 from roomlight_server.answers.composites import scene_of
-from roomlight_server.base.problems import BODY_PROBLEMS, ProblemError, documented, problem_response
+from roomlight_server.base.problems import BODY_PROBLEMS, RESTORE_PROBLEMS, ProblemError, documented, problem_response
 from roomlight_server.recordings.files import MAX_PIECE_BYTES, append
 from roomlight_server.recordings.jobs import FilmJob
 from roomlight_server.routes.bodies import read_body
@@ -133,8 +133,8 @@ async def put_piece(
     summary="Play a recording",
     status_code=202,
     responses=documented(
-        *(*BODY_PROBLEMS, *_PROBLEMS, "recording-not-ready", "recording-playing", "session-conflict"),
-        *("model-not-here", "session-failed", "server-full", "stopping"),
+        *(*BODY_PROBLEMS, *RESTORE_PROBLEMS, "recording-not-found", "recording-not-ready", "recording-playing"),
+        "session-failed",
     ),
 )
 async def start_replay(

@@ -16,7 +16,7 @@ router = APIRouter(prefix="/v1/sessions/{session_id}/scene", tags=["objects"])
     "",
     summary="Title and placed objects",
     response_model=SessionScene,
-    responses=UNCHANGED | documented(*SESSION_PROBLEMS, "state-refused", "state-unavailable"),
+    responses=UNCHANGED | documented(*SESSION_PROBLEMS),
 )
 async def get_scene(live: SessionDep, request: Request) -> Response:
     """Return the title of a session and the objects that its viewers have placed, for a composite of any frame."""
@@ -28,7 +28,7 @@ async def get_scene(live: SessionDep, request: Request) -> Response:
     "",
     summary="Keep title and placed objects",
     responses={200: {"headers": {"ETag": {"description": "Of the new scene", "schema": {"type": "string"}}}}}
-    | documented(*BODY_PROBLEMS, *SESSION_PROBLEMS, "scene-changed", "state-refused", "state-unavailable"),
+    | documented(*BODY_PROBLEMS, *SESSION_PROBLEMS, "scene-changed"),
 )
 async def put_scene(
     live: SessionDep,

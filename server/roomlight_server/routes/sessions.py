@@ -7,7 +7,7 @@ from fastapi import APIRouter, Body, Header, Path, Request, Response
 
 from roomlight.wire.frame_header import MAX_INDEX
 from roomlight.wire.messages import FrameResult, SessionRequest, SessionState
-from roomlight_server.base.problems import BODY_PROBLEMS, documented
+from roomlight_server.base.problems import BODY_PROBLEMS, RESTORE_PROBLEMS, SESSION_PROBLEMS, documented
 from roomlight_server.routes.bodies import read_frame
 from roomlight_server.routes.context import ContextDep, ReservationDep, SessionDep, SessionId, SessionOwnerDep
 from roomlight_server.sessions.frame_queue import Entry
@@ -72,10 +72,7 @@ _PROCESSED: Final[dict[str, Any]] = {
     summary="Open a session",
     response_model=SessionState,
     responses={201: {"model": SessionState, "description": "A new session is open"}}
-    | documented(
-        *(*BODY_PROBLEMS, "unauthorized", "session-conflict", "state-refused", "model-not-here", "invalid"),
-        *("owner-quota", "server-full", "state-unavailable", "stopping"),
-    ),
+    | documented(*BODY_PROBLEMS, *RESTORE_PROBLEMS),
 )
 async def open_session(
     session_id: SessionId,
@@ -98,7 +95,7 @@ async def open_session(
     "",
     tags=["sessions"],
     summary="State of a session",
-    responses=documented("unauthorized", "session-not-found", "state-refused", "invalid", "state-unavailable"),
+    responses=documented(*RESTORE_PROBLEMS, "session-not-found"),
 )
 async def session_state(live: SessionDep) -> SessionState:
     """Return options, model, frame counts, named probes with their coverage, memory and volume of a session.
@@ -134,8 +131,8 @@ async def delete_session(session_id: SessionId, context: ContextDep, owner: Sess
         202: {"model": FrameResult, "description": "accepted and queued (`Prefer: respond-async`)"},
     }
     | documented(
-        *(*BODY_PROBLEMS, "unauthorized", "session-not-found", "frame-conflict", "session-failed", "session-closed"),
-        *("bad-frame", "invalid", "session-full", "owner-busy", "engine-failed", "server-busy", "stopping"),
+        *(*BODY_PROBLEMS, *SESSION_PROBLEMS, "frame-conflict", "bad-frame", "session-full"),
+        *("owner-busy", "engine-failed", "server-busy"),
     ),
 )
 async def put_frame(
