@@ -134,7 +134,7 @@ def test_proxies_choose_the_server_by_session():
     routes = manager_of_envoy()["route_config"]["virtual_hosts"][0]["routes"]
     policies = [route["route"]["hash_policy"] for route in routes if "route" in route]
     names = [[entry["header"]["header_name"] for entry in policy] for policy in policies]
-    assert names == [[":path"], [":path"], ["x-session-id", ":path"]]
+    assert names == [[":path"], [":path"], ["x-session-id", ":path"], ["x-session-id", ":path"]]
     assert policies[2][0]["terminal"]
     constant = policies[2][1]["header"]["regex_rewrite"]
     assert re.sub(constant["pattern"]["regex"], constant["substitution"], "/v1/pairing") == "none"
@@ -160,6 +160,13 @@ def test_a_composite_has_more_than_its_time_limit():
     route = manager_of_envoy()["route_config"]["virtual_hosts"][0]["routes"][1]
     assert re.fullmatch(route["match"]["safe_regex"]["regex"], "/v1/sessions/room/composite")
     assert min(float(route["route"][name].rstrip("s")) for name in ("timeout", "idle_timeout")) > limit_s
+
+
+def test_a_film_has_time_to_be_sent():
+    """Envoy's time limit is that of the whole answer."""
+    *_, film, others = manager_of_envoy()["route_config"]["virtual_hosts"][0]["routes"]
+    assert re.fullmatch(film["match"]["safe_regex"]["regex"], "/v1/recordings/r-0123456789abcdef/film")
+    assert float(film["route"]["timeout"].rstrip("s")) > float(others["route"]["timeout"].rstrip("s"))
 
 
 def test_paths_are_compared_as_the_server_reads_them():
