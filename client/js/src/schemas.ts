@@ -711,7 +711,7 @@ export interface components {
             } | null;
         };
         readonly ServerMessage: components["schemas"]["FrameEvent"] | components["schemas"]["LightAnswer"] | components["schemas"]["LightingUpdate"] | components["schemas"]["ProbesEvent"] | components["schemas"]["ProblemEvent"];
-        /** @description The sessions of a token, last used first, and the server's limits. */
+        /** @description The sessions of a token, last used first, and its limits. */
         readonly SessionList: {
             readonly sessions: readonly components["schemas"]["SessionSummary"][];
             readonly max_sessions: number;

@@ -34,7 +34,7 @@ class SessionSummary(WireModel):
 
 
 class SessionList(WireModel):
-    """The sessions of a token, last used first, and the server's limits."""
+    """The sessions of a token, last used first, and its limits."""
 
     sessions: list[SessionSummary]
     max_sessions: int

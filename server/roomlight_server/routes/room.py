@@ -45,7 +45,8 @@ async def list_sessions(context: ContextDep, owner: OwnerDep) -> SessionList:
     listed += [_saved_summary(head) for head in await context.registry.saved(owner)]
     listed.sort(key=lambda summary: summary.idle_s)
     settings = context.settings
-    return SessionList(sessions=listed, max_sessions=settings.max_sessions, idle_expiry_s=settings.idle_expiry_s)
+    most = min(settings.max_sessions, settings.owner_sessions)
+    return SessionList(sessions=listed, max_sessions=most, idle_expiry_s=settings.idle_expiry_s)
 
 
 def _summary(live: LiveSession, idle_s: float) -> SessionSummary:
