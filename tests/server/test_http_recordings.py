@@ -335,7 +335,7 @@ def test_a_folder_is_uploaded_and_played(tmp_path):
         assert set(state["probes"]) == {"view", "probe-1", "probe-2", "probe-3"}
         # a second replay goes into another session
         again = server.call("PUT", f"{url}/replay", {"session": "room", "model": "classical", "height": 16})
-        assert again.kind == "session-conflict"
+        assert (again.kind, again.json["title"]) == ("session-conflict", "Session conflicts with the request")
         probes = {"here": [0.0, 1.0, 0.0]}
         server.call("PUT", f"{url}/replay", {"session": "two", "height": 16, "fps": 60, "probes": probes})
         finished(server, url)

@@ -43,7 +43,7 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "body-timeout": (408, "Request body timed out"),
     "header-timeout": (408, "Request headers timed out"),
     "frame-conflict": (409, "Frame index was already used"),
-    "session-conflict": (409, "Session exists with other options"),
+    "session-conflict": (409, "Session conflicts with the request"),
     "state-refused": (409, "Saved session cannot be used"),
     "session-failed": (409, "Session has failed"),
     "model-not-here": (409, "Model is not available"),
