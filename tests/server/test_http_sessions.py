@@ -84,6 +84,7 @@ def test_an_unknown_path_is_not_found(server, path):
     answer = server.call("PUT", path, SMALL)
     assert answer.status == 404
     assert answer.kind == "not-found"
+    assert answer.json["detail"].startswith("PUT /")
 
 
 @pytest.mark.parametrize(
@@ -208,6 +209,7 @@ def test_an_unknown_method_is_answered_with_the_allowed_ones(server):
         "method-not-allowed",
         "DELETE, GET, HEAD, PUT",
     )
+    assert answer.json["detail"] == "PATCH /v1/sessions/room: Method Not Allowed"
 
 
 def test_a_model_without_weights_is_answered_with_409():

@@ -195,6 +195,8 @@ async def on_http_exception(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)
     kind = _KINDS.get(error.status_code, "bad-request")
     detail = str(error.detail) or HTTPStatus(error.status_code).phrase
+    if error.status_code in (404, 405):
+        detail = f"{request.method} {request.url.path[:200]}: {detail}"
     response = _answered(request, ProblemError(kind, detail))
     response.headers.update(error.headers or {})
     if error.status_code == 405:  # Starlette lists the methods of the first matching route only
