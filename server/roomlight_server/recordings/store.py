@@ -214,7 +214,8 @@ class RecordingStore:
         """
         self._check_complete(recording)
         if recording.filming:
-            raise ProblemError("film-running", "a film of the recording is being made; stop it first with DELETE")
+            detail = "a film of the recording is being made; stop it first with DELETE, or retry later"
+            raise ProblemError("film-running", detail, retry_after_s=30)
         running = sum(other.filming for other in self._recordings.values())
         if running >= self._settings.composite_threads:
             rule = f"at most {self._settings.composite_threads} films at once"
