@@ -68,7 +68,7 @@ def certificate_of(files):
 
 
 def test_answers_come_over_verified_tls(server):
-    assert call(server, "/v1/sessions") == (200, {"sessions": [], "max_sessions": 16, "idle_expiry_s": 600.0})
+    assert call(server, "/v1/sessions") == (200, {"sessions": [], "max_sessions": 8, "idle_expiry_s": 600.0})
     assert call(server, "/v1/sessions", token="another-token-here")[0] == 401
 
 
