@@ -38,6 +38,7 @@ def test_levels_and_roughness_are_stated() -> None:
     assert [level.size for level in mips.levels] == [64, 32, 16, 8, 4]
     assert mips.levels[-1].size == MIN_SIZE
     assert mips.roughness == (0, 0.25, 0.5, 0.75, 1)
+    assert len(mips.to_bytes()) == sum(6 * size * size * 8 for size in (64, 32, 16, 8, 4))
 
 
 def test_agrees_with_dense_integration() -> None:

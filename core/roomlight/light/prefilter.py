@@ -44,6 +44,10 @@ class SpecularMips:
         """Return the levels as half floats, alpha 1."""
         return [level.rgba16f() for level in self.levels]
 
+    def to_bytes(self) -> bytes:
+        """Encode level after level, widest first, each as `CubeMap.to_bytes`."""
+        return b"".join(level.to_bytes() for level in self.levels)
+
     def to_ktx2(self) -> bytes:
         """Encode the levels as a KTX2 file; its key `roomlight.roughness` lists their roughness."""
         listed = " ".join(f"{roughness:.6g}" for roughness in self.roughness)
