@@ -16,10 +16,10 @@ from roomlight.compositing.placement.places import (
     Placement,
     Plane,
     check_places,
+    nearby_support,
     place_at,
     place_at_pixel,
     place_by_pose,
-    support_below,
 )
 from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.compositing.placement.scene import AtPixel, AtPose, SceneObject
@@ -41,7 +41,7 @@ class PlacedObject:
         number: index in the scene.
         placement: before its motion.
         pivot: anchor in the world, about which it moves.
-        support: plane that it stands on, before its motion.
+        support: plane that it stands on or hangs at, before its motion.
         centre: of its bounding sphere, in the object's frame.
         radius_m: of its bounding sphere.
     """
@@ -96,7 +96,7 @@ def place_object(number: int, scene_object: SceneObject, geometry: RoomGeometry,
     else:
         placement = placement_of(scene_object)
         anchor = place.anchor
-        support = support_below(geometry, placement, box)
+        support = nearby_support(geometry, placement, box, depth_estimated=frame.depth_estimated)
     matrix = placement.object_to_world
     pivot = transform_points(matrix, box.anchor(anchor))
     centre = (box.low + box.high) / 2

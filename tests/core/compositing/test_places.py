@@ -10,10 +10,10 @@ from roomlight.camera import transform_points
 from roomlight.compositing.placement.places import (
     Box,
     fit_plane,
+    nearby_support,
     place_at,
     place_at_pixel,
     place_by_pose,
-    support_below,
 )
 from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.engine.surface.mesh import FrameMesh
@@ -151,11 +151,31 @@ def test_the_anchor_is_put_onto_the_place(anchor, expected):
     assert transform_points(placed.object_to_world, np.array(expected, float)) == pytest.approx([1, 2, 3])
 
 
-def test_support_is_found_under_an_object_placed_by_position():
-    _, geometry = view(-35)
-    standing = support_below(geometry, place_at(np.array([0.9, 0.0, -0.8]), BOX), BOX)
-    assert present(standing).normal == pytest.approx([0, 1, 0])
-    assert support_below(geometry, place_at(np.array([0.9, 0.3, -0.8]), BOX), BOX) is None
+@pytest.mark.parametrize("depth_estimated", [False, True])
+@pytest.mark.parametrize(
+    ("pitch", "position", "anchor", "normal"),
+    [
+        (-35, (0.9, 0, -0.8), "base", (0, 1, 0)),
+        (0, (1.0, 1.5, -2.5), "back", (0, 0, 1)),
+        (30, (0.6, 3.0, -1.2), "top", (0, -1, 0)),
+    ],
+)
+def test_an_object_placed_by_position_has_the_surface_that_it_touches(pitch, position, anchor, normal, depth_estimated):
+    _, geometry = view(pitch)
+    for gap_m, is_near in ((0.0, True), (0.1, depth_estimated), (0.3, False)):
+        placed = place_at(np.array(position) + gap_m * np.array(normal), BOX, anchor=anchor)
+        support = nearby_support(geometry, placed, BOX, depth_estimated=depth_estimated)
+        assert (support is not None) == is_near
+        if support is not None:
+            assert support.normal == pytest.approx(normal)
+            assert support.height_of(transform_points(placed.object_to_world, CORNERS)).min() == pytest.approx(0)
+
+
+def test_a_wall_that_leans_by_20_degrees_is_a_support_only_where_depth_is_estimated():
+    _, geometry = view(0)
+    placed = place_by_pose(camera_at((1.0, 1.5, -2.5), pitch_degrees=20), BOX, anchor="back")
+    assert nearby_support(geometry, placed, BOX, depth_estimated=False) is None
+    assert nearby_support(geometry, placed, BOX, depth_estimated=True) is not None
 
 
 def test_a_line_of_points_makes_no_plane():
