@@ -131,8 +131,11 @@ def test_places_that_cannot_be_are_refused():
     with pytest.raises(SceneError, match=r"no surface is known behind 100,50.*; give a position$"):
         place_at_pixel(RoomGeometry(), blind, 100.0, 50.0, BOX)
     blind.depth_m[30, 110] = blind.depth_m[150, 100] = 1.0  # of 192 x 256
-    with pytest.raises(SceneError, match=r"the nearest pixel with depth is 138,38$"):
+    with pytest.raises(SceneError, match=r"gave no depth there .*; the nearest pixel with depth is 138,38$"):
         place_at_pixel(RoomGeometry(), blind, 100.0, 50.0, BOX)
+    masked = replace(blind, seen=np.indices(blind.image.shape[:2])[0] > 50)
+    with pytest.raises(SceneError, match=r"behind 100,50: it is masked or transparent and no other frame showed it; "):
+        place_at_pixel(RoomGeometry(), masked, 100.0, 50.0, BOX)
     for u, v in ((-1.0, 5.0), (320.0, 5.0), (5.0, 240.0), (float("nan"), 5.0)):
         with pytest.raises(SceneError, match="320 x 240 pixels"):
             place_at_pixel(geometry, frame, u, v, BOX)

@@ -200,9 +200,14 @@ def surface_at_pixel(
         distance_m = float(hits.distance_m[0])
     if not np.isfinite(distance_m):
         near = nearest_with_depth(frame, row, column)
+        is_masked = frame.seen is not None and not frame.seen[int(v), int(u)]
+        reason = (
+            "it is masked or transparent"
+            if is_masked
+            else "the sensor gave no depth there (a window, a lamp, a shiny surface?)"
+        )
         raise SceneError(
-            f"pixel: no surface is known behind {u:g},{v:g}: the sensor gave no depth there (a window, a lamp, a shiny "
-            "surface?) and no other frame showed it; "
+            f"pixel: no surface is known behind {u:g},{v:g}: {reason} and no other frame showed it; "
             + ("give a position" if near is None else f"the nearest pixel with depth is {near[0]},{near[1]}")
         )
     hit = origin + distance_m * direction
