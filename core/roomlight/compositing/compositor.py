@@ -307,8 +307,8 @@ class Compositor:
             with naming_object(number, scene_object.name):
                 new.append(place_object(number, scene_object, self.geometry, frame))
                 positions.append(probe_positions(new[-1]))
-        for own in positions:
-            self._probes.add(own)
+        for placed, own in zip(new, positions, strict=True):
+            self._probes.add(own, blend=placed.object.motion is None)
         self._placed = sorted([*self._placed, *new], key=lambda placed: placed.number)
 
     def _crops(self, frame: Frame, posed: PosedObjects) -> tuple[Crop, Crop]:

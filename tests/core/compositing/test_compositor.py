@@ -110,6 +110,18 @@ def test_the_rim_of_an_object_in_a_soft_frame_has_its_depth_and_number(session, 
     assert made.visible[0] > 0.98
 
 
+@pytest.mark.parametrize("quality", ["preview", "good"])
+def test_probes_close_behind_a_large_face_show_no_spots(session, quality):
+    slab = cube(1.2, diffuse((1.0, 1.0, 1.0))).transformed(np.diag([1.0, 1.0, 0.5, 1.0]))
+    large = SceneObject("slab", slab, AtPosition((0.2, 0.0, -1.2)))
+
+    def light(at):  # at the probe 15 cm behind the upper left of the front
+        return np.full((8, 16, 3), float(at[0] < 0.2 and at[1] > 0.6 and at[2] > -1.2), np.float32)
+
+    made = composite(session, view(), [large], quality=quality, light=light)
+    assert 0.3 < made.objects.max() < 0.5  # of 1
+
+
 def test_light_may_be_a_light_a_panorama_or_a_function(session):
     panorama = np.full((16, 32, 3), 0.7, np.float32)
     light = Light((0.0, 0.0, 0.0), panorama)

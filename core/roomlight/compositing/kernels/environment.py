@@ -10,8 +10,9 @@ from roomlight.kernels.common import JIT, KERNEL
 
 
 @njit(**JIT)
-def probe_weights(positions, x, y, z, weights):
-    """Fill the share of each probe at a point: inverse squared distance, all of it where the point is a probe's."""
+def probe_weights(light, x, y, z, weights):
+    """Fill the share of each probe at a point: 1 / (squared distance + `spread_m2`), all of it at a probe without."""
+    positions = light.position
     count = positions.shape[0]
     if count == 1:
         weights[0] = 1.0
@@ -19,7 +20,7 @@ def probe_weights(positions, x, y, z, weights):
     total = 0.0
     for k in range(count):
         dx, dy, dz = x - positions[k, 0], y - positions[k, 1], z - positions[k, 2]
-        weights[k] = 1 / (dx * dx + dy * dy + dz * dz + 1e-8)
+        weights[k] = 1 / (dx * dx + dy * dy + dz * dz + light.spread_m2[k] + 1e-8)
         total += weights[k]
     for k in range(count):
         weights[k] /= total
@@ -174,7 +175,7 @@ def fill_radiance(light, positions, directions, out):
     """Fill the radiance seen from each position in each direction."""
     weights = np.empty(light.radiance.shape[0])
     for i in range(len(directions)):
-        probe_weights(light.position, positions[i, 0], positions[i, 1], positions[i, 2], weights)
+        probe_weights(light, positions[i, 0], positions[i, 1], positions[i, 2], weights)
         place = place_of(directions[i, 0], directions[i, 1], directions[i, 2])
         out[i, 0], out[i, 1], out[i, 2] = mixed_at(light.radiance, weights, place)
 

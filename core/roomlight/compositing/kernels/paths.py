@@ -108,7 +108,7 @@ def _escape(world, paths, i, film, settings, weights, escape, escaped):
         return 1
     d = (paths.direction[i, 0] * 1.0, paths.direction[i, 1] * 1.0, paths.direction[i, 2] * 1.0)
     origin = (paths.origin[i, 0] * 1.0, paths.origin[i, 1] * 1.0, paths.origin[i, 2] * 1.0)
-    probe_weights(world.light.position, origin[0], origin[1], origin[2], weights)
+    probe_weights(world.light, origin[0], origin[1], origin[2], weights)
     scale = paths.share[i]
     sharp = scale >= 1 and not paths.flags[i] & BLURRED
     images = world.light.mirrored if sharp else world.light.radiance
@@ -428,7 +428,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
         scatter = scatter_of(world, material, base, metallic, roughness, local_view[2])
         if not is_coated:
             scatter = under_sheen(world, scatter, cloth_sheen(world, face, b, c), local_view[2])
-        probe_weights(world.light.position, origin[0], origin[1], origin[2], weights)
+        probe_weights(world.light, origin[0], origin[1], origin[2], weights)
         # 8. An open face's base gets the light of the panoramas that is known without samples.
         guided = (paths.flags[i] & PRIMARY) != 0  # also behind cut-outs
         is_open = side > 0 and world.is_open[face]

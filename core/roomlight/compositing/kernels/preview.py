@@ -123,7 +123,7 @@ def shade_hits(world, mips, view, paths, hits, behind, film, begin, end):
             continue
         place = points(world.surfaces, face, b, c, side)[0]
         normal = shading_normal(world, face, b, c, d, side, True)
-        probe_weights(world.light.position, place[0], place[1], place[2], weights)
+        probe_weights(world.light, place[0], place[1], place[2], weights)
         through = (math.nan, math.nan, math.nan)
         if len(behind):
             row = i - begin

@@ -60,10 +60,11 @@ class SamplingTables(NamedTuple):
 class Environment(NamedTuple):
     """Probes as the kernels read them: panoramas, irradiance / pi by the surface's normal, and `SamplingTables`.
 
-    Smooth mirrors and glass show `mirrored`, all else is lit by `radiance`.
+    Smooth mirrors and glass show `mirrored`, all else is lit by `radiance`. `spread_m2` is `ProbeSet.spread_m2`.
     """
 
     position: Float32[np.ndarray, "k 3"]
+    spread_m2: Float32[np.ndarray, " k"]
     radiance: Float32[np.ndarray, "k h w 3"]
     mirrored: Float32[np.ndarray, "k h w 3"]
     irradiance: Float32[np.ndarray, "k i j 3"]
@@ -104,7 +105,8 @@ class LightSampler:
     def environment(self) -> Environment:
         """Return the tables as the kernels read them, without irradiance."""
         place, panorama = np.array([self.position], np.float32), self.panorama[None]
-        return Environment(place, panorama, panorama, _NO_IRRADIANCE, *(table[None] for table in self._tables))
+        tables = (table[None] for table in self._tables)
+        return Environment(place, np.zeros(1, np.float32), panorama, panorama, _NO_IRRADIANCE, *tables)
 
     @cached_property
     def irradiance(self) -> Float32[np.ndarray, "i j 3"]:
@@ -163,12 +165,23 @@ class Mixture:
 
 
 class ProbeSet:
-    """Probes around an object; the light at a point is their mean by inverse squared distance."""
+    """Probes around objects; the light at a point is their mean, weighted by 1 / (squared distance + `spread_m2`).
 
-    def __init__(self, samplers: Sequence[LightSampler], *, mirrored: Sequence[LightSampler] | None = None) -> None:
+    Attributes:
+        spread_m2: [k] m2; 0 for a probe whose light is all that reaches a point at it.
+    """
+
+    def __init__(
+        self,
+        samplers: Sequence[LightSampler],
+        *,
+        spread_m2: Sequence[float] | Float32[np.ndarray, " k"] | None = None,
+        mirrored: Sequence[LightSampler] | None = None,
+    ) -> None:
         """Join the probes; panoramas of fewer rows are resampled to the finest one's.
 
         Args:
+            spread_m2: the attribute; zeros by default.
             mirrored: what smooth mirrors and glass show instead, at the same positions in the same order.
 
         Raises:
@@ -178,6 +191,7 @@ class ProbeSet:
             raise OptionError(f"a probe set takes 1 to {MAX_PROBES} probes, got {len(samplers)}")
         if mirrored is not None and [probe.position for probe in mirrored] != [probe.position for probe in samplers]:
             raise OptionError("the probes that mirrors show must be at the positions of the others")
+        self.spread_m2 = np.array([0.0] * len(samplers) if spread_m2 is None else spread_m2, np.float32)
         height = max(len(probe.panorama) for probe in samplers)
         self.samplers = tuple(_at_height(probe, height) for probe in samplers)
         self._mirrored = self.samplers if mirrored is None else tuple(_at_height(probe, height) for probe in mirrored)
@@ -190,7 +204,8 @@ class ProbeSet:
             sampler.environment()._replace(irradiance=sampler.irradiance[None], mirrored=mirrored.panorama[None])
             for sampler, mirrored in zip(self.samplers, self._mirrored, strict=True)
         ]
-        return Environment(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        joined = Environment(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        return joined._replace(spread_m2=self.spread_m2)
 
     @cached_property
     def panoramas(self) -> Environment:
@@ -199,7 +214,8 @@ class ProbeSet:
         radiance = np.stack([sampler.panorama for sampler in self.samplers])
         unused = _sampling_tables(radiance[0, :1, :2])  # the kernels want arrays of the same types
         mirrored = np.stack([sampler.panorama for sampler in self._mirrored])
-        return Environment(positions, radiance, mirrored, _NO_IRRADIANCE, *(table[None] for table in unused))
+        tables = (table[None] for table in unused)
+        return Environment(positions, self.spread_m2, radiance, mirrored, _NO_IRRADIANCE, *tables)
 
     @classmethod
     def single(cls, panorama: Float[np.ndarray, "h w 3"], position: Position = (0.0, 0.0, 0.0)) -> "ProbeSet":
@@ -209,7 +225,7 @@ class ProbeSet:
     def weights(self, position: Position) -> Float[np.ndarray, " k"]:
         """Return each probe's share of the light at a position; the shares sum to 1."""
         out = np.empty(len(self.samplers))
-        environment.probe_weights.py_func(self.panoramas.position, *position, out)  # not compiled for one call
+        environment.probe_weights.py_func(self.panoramas, *position, out)  # not compiled for one call
         return out
 
     def mixed(self, position: Position) -> LightSampler:

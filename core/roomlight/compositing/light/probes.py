@@ -111,8 +111,13 @@ class ObjectProbes:
         self._frames = 0
         self._waiting_s = 0.0
 
-    def add(self, positions: Float[np.ndarray, "n 3"]) -> None:
-        """Track probes at these positions, as far as `MAX_TOTAL` allows."""
+    def add(self, positions: Float[np.ndarray, "n 3"], *, blend: bool = False) -> None:
+        """Track probes at these positions, as far as `MAX_TOTAL` allows.
+
+        Args:
+            blend: the probes are those of one object at rest: its faces pass some closely, and shall not show where.
+        """
+        spread_m2 = 0.5 * float(positions.var(axis=0).sum()) if blend else 0.0  # 0 for a single probe
         if not self._handles:
             self._frames = self._session.frames
         for position in positions[: MAX_TOTAL - len(self._handles)]:
@@ -121,11 +126,11 @@ class ObjectProbes:
             self._handles.append(handle)
             self._positions.append((x, y, z))
             if self._light is not None:
-                self.lighting.add((x, y, z), self._light((x, y, z)))
+                self.lighting.add((x, y, z), self._light((x, y, z)), spread_m2)
             else:
                 light = self._session.light(handle)
-                self.lighting.add((x, y, z), light.panorama)
-                self.reflection.add((x, y, z), light.reflection)
+                self.lighting.add((x, y, z), light.panorama, spread_m2)
+                self.reflection.add((x, y, z), light.reflection, spread_m2)
 
     def advance(self, elapsed_s: float, *, every_s: float = 0.0) -> None:
         """Follow the session's light for a time.
@@ -153,7 +158,8 @@ class ObjectProbes:
         if lighting is reflection:
             return lighting
         if self._joined is None or self._joined[0] is not lighting or self._joined[1] is not reflection:
-            self._joined = lighting, reflection, ProbeSet(lighting.samplers, mirrored=reflection.samplers)
+            joined = ProbeSet(lighting.samplers, spread_m2=lighting.spread_m2, mirrored=reflection.samplers)
+            self._joined = lighting, reflection, joined
         return self._joined[2]
 
     def observed_at(self, position: Position) -> Float[np.ndarray, "h w"]:
@@ -177,17 +183,20 @@ class EasedLights:
     def __init__(self) -> None:
         """Begin without positions."""
         self._lights: list[EasedLight] = []
+        self._spread_m2: list[float] = []
         self._set: ProbeSet | None = None
         self._at: dict[Position, LightSampler] = {}  # of the present set
 
-    def add(self, position: Position, panorama: Float[np.ndarray, "h w 3"]) -> None:
-        """Add a position with its light."""
+    def add(self, position: Position, panorama: Float[np.ndarray, "h w 3"], spread_m2: float) -> None:
+        """Add a position with its light and its `ProbeSet.spread_m2`."""
         self._lights.append(EasedLight(position, panorama))
+        self._spread_m2.append(spread_m2)
         self._set = None
 
     def clear(self) -> None:
         """Forget all positions."""
         self._lights.clear()
+        self._spread_m2.clear()
         self._set = None
 
     def aim(self, number: int, panorama: Float[np.ndarray, "h w 3"]) -> None:
@@ -205,7 +214,7 @@ class EasedLights:
         if self._set is None or len(self._at) >= MAX_TOTAL:
             self._at.clear()
         if self._set is None:
-            self._set = ProbeSet([light.sampler for light in self._lights])
+            self._set = ProbeSet([light.sampler for light in self._lights], spread_m2=self._spread_m2)
         return self._set
 
     def at(self, position: Position) -> LightSampler:
