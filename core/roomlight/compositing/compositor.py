@@ -24,7 +24,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from roomlight.camera import transform_points
 from roomlight.compositing.kernels.ground import Supports
-from roomlight.compositing.kernels.shadows import fill_clipped_share, restore_clipped
+from roomlight.compositing.kernels.shadows import fill_clipped_share, fill_unclipped, restore_clipped
 from roomlight.compositing.light.probes import GivenLight, ObjectProbes, given_light
 from roomlight.compositing.light.temporal import (
     SHADOW_S,
@@ -91,6 +91,8 @@ BRIGHTER: Final = np.float32(0.25)
 CLIPPED_AROUND: Final = (31, np.float32(8.0))
 """Side of the square, in pixels, and inverse of the share of it from which on clipped pixels are around: one alone, a
 highlight or noise, changes nothing."""
+COLOUR_AROUND: Final = 61
+"""Side of the square, in pixels, whose unclipped pixels give the colour of a clipped one."""
 SHADOW_COLUMNS: Final = 640
 """Shadows of wider frames are computed as for frames of about this width, and interpolated."""
 
@@ -442,7 +444,10 @@ class Compositor:
         if limits is not None:
             side, inverse = CLIPPED_AROUND
             around = cv2.blur(frame.clipped[crop.slices].astype(np.float32), (side, side))
-            restore_clipped(ratio, image, *limits, BRIGHTER * np.minimum(inverse * around, np.float32(1)))
+            unclipped = np.empty((*crop.shape, 4), np.float32)
+            fill_unclipped(image, limits[0], unclipped)
+            unclipped = cv2.blur(unclipped, (COLOUR_AROUND, COLOUR_AROUND))
+            restore_clipped(ratio, image, *limits, BRIGHTER * np.minimum(inverse * around, np.float32(1)), unclipped)
         return ratio
 
     def _caster(self, members: list[int], posed: PosedObjects) -> shadows.Caster:

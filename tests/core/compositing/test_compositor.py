@@ -464,6 +464,18 @@ def test_clipped_light_hides_weak_shadows_and_takes_deep_ones(session):
     assert (after[deep] < 1.3 * before[deep]).all()
 
 
+def test_shadows_where_red_alone_is_clipped_stay_warm(session):
+    clipped = np.zeros(view().clipped.shape, bool)
+    clipped[:, 160:] = True
+    image = np.where(clipped[..., None], np.float32([1.0, 0.75, 0.4]), np.float32([0.75, 0.45, 0.24]))  # red is 1.25
+    frame = replace(view(), image=image, clipped=clipped)
+    plain, kept = (composite(session, one, [BALL], quality="preview").shadow for one in (view(), frame))
+    near = clipped & (np.indices(clipped.shape)[1] < 180) & (plain.max(axis=-1) < 0.7) & (plain.min(axis=-1) > 0.2)
+    assert near.sum() > 100
+    rise = kept[near] / plain[near]
+    assert ((rise[:, 0] > 1.08 * rise[:, 1]) & (rise[:, 0] < 1.25 * rise[:, 1])).all()
+
+
 def test_one_clipped_pixel_does_not_change_a_shadow_on_a_bright_table(session):
     clipped = np.zeros(view().clipped.shape, bool)
     clipped[90, 150] = True

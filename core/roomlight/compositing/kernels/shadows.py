@@ -229,18 +229,39 @@ def fade_ratio(ratio, emits, clipped):
                     ratio[i, j, axis] += share * (one - ratio[i, j, axis])
 
 
+@njit(**JIT)
+def _middle(image, i, j):
+    """Return the channel between the greatest and the least."""
+    red, green, blue = image[i, j, 0], image[i, j, 1], image[i, j, 2]
+    return max(min(red, green), min(max(red, green), blue))
+
+
 @njit(**KERNEL)
-def restore_clipped(ratio, image, low, high, excess):
+def fill_unclipped(image, low, out):
+    """Fill [h, w, 4] with the channels and the middle one of pixels below `low`, and 0 elsewhere."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            is_below = max(image[i, j, 0], image[i, j, 1], image[i, j, 2]) < low
+            for axis in range(3):
+                out[i, j, axis] = image[i, j, axis] if is_below else np.float32(0)
+            out[i, j, 3] = _middle(image, i, j) if is_below else np.float32(0)
+
+
+@njit(**KERNEL)
+def restore_clipped(ratio, image, low, high, excess, unclipped):
     """Raise a ratio [h, w, 3] below 1 where channels are clipped: light above white hides a weak shadow.
 
     A clipped value v is a lower bound. Its excess x counts as exponentially distributed, and the ratio r becomes the
     expected min(1, r (1 + x)) = r + r m (1 - exp((1 - 1 / r) / m)), where m is the mean of x. All channels have one m:
-    each with its own, white floors would turn yellow.
+    each with its own, white floors would turn yellow. Where one channel alone is clipped, as red on wood, it has at
+    least the excess by which its ratio to the middle one would be that of the unclipped pixels around: at the same m,
+    the shadow would turn green.
 
     Args:
         image: [h, w, 3] linear.
         low, high: values where a channel begins to be clipped, and where it is.
         excess: [h, w] mean of x, as a share of white, where all channels are clipped.
+        unclipped: [h, w, 4] means around each pixel of what `fill_unclipped` fills.
     """
     one = np.float32(1)
     for i in range(ratio.shape[0]):
@@ -253,7 +274,13 @@ def restore_clipped(ratio, image, low, high, excess):
                 mean += excess[i, j] * share / np.float32(3)
             if mean < np.float32(1e-3):
                 continue
+            middle = _middle(image, i, j)
+            alone = min(max((high - middle) / (high - low), np.float32(0)), one)
+            per_unclipped = middle / (max(unclipped[i, j, 3], np.float32(0.01)) * high)
             for axis in range(3):
                 r = ratio[i, j, axis]
                 if r < one:
-                    ratio[i, j, axis] += r * mean * (one - math.exp((one - one / r) / mean))
+                    share = min(max((image[i, j, axis] - low) / (high - low), np.float32(0)), one)
+                    own = min(unclipped[i, j, axis] * per_unclipped - one, np.float32(2) * excess[i, j])
+                    m = max(alone * share * own, mean)
+                    ratio[i, j, axis] += r * m * (one - math.exp((one - one / r) / m))
