@@ -245,7 +245,7 @@ def test_the_demo_replaces_nothing_but_an_earlier_demo(
     (tmp_path / name).write_text(text)
     result = roomlight("demo", "--out", tmp_path)
     assert result.code == 1
-    assert "holds other files than those of an earlier demo; choose another --out" in result.err
+    assert "holds something else than a demo of this installation; choose another --out" in result.err
 
 
 @pytest.mark.slow

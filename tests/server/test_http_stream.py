@@ -267,7 +267,7 @@ def test_a_stream_without_a_session_is_closed_with_its_code(server, name, status
         assert stream.close_code() == code
 
 
-def test_a_handshake_that_misses_the_stream_says_why(server):
+def test_a_handshake_that_misses_the_stream_says_why(server, caplog):
     answer = server.call("GET", "/v1/sessions/room/stream?v=1")  # what is left if a proxy drops Upgrade
     assert (answer.status, answer.kind, answer.headers["upgrade"]) == (426, "upgrade-required", "websocket")
     assert "a proxy must pass Upgrade and Connection" in answer.json["detail"]
@@ -277,6 +277,8 @@ def test_a_handshake_that_misses_the_stream_says_why(server):
     assert (response.status_code, response.headers["Content-Type"]) == (404, "application/problem+json")
     assert "X-Request-Id" in response.headers
     assert "streams are at /v1/sessions/{id}/stream" in json.loads(response.body or b"")["detail"]
+    server.call("GET", "/healthz")  # by then the connection has ended
+    assert "handshake" not in caplog.text
 
 
 def test_a_stream_needs_a_token_and_an_allowed_origin(server):

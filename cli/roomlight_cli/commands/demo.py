@@ -63,8 +63,8 @@ def write_pictures(capture: Path, out: Path) -> None:
     Raises:
         OutputError: `out` holds anything but an earlier demo.
     """
-    if not holds_replay_of(capture, out) and any(out.glob("*")):
-        raise OutputError(f"{out}: holds other files than those of an earlier demo; choose another --out")
+    if not holds_replay_of(capture, out) and any(out.glob("[!.]*")):
+        raise OutputError(f"{out}: holds something else than a demo of this installation; choose another --out")
     compile_beside("preview")
     replay(capture, ReplayOptions(probes_from_capture=True, overwrite=True), out=out)
     film = CompositeOptions(out / FILM, quality="preview", fps=FILM_RATE, overwrite=True)

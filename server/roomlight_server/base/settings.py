@@ -107,13 +107,14 @@ class ServerSettings(BaseSettings):
         object_timeout_s: Time limit for decoding an object; then its process is killed and the object is rejected.
         composite_threads: Previews made at once, in different sessions; and as many other composites, in processes.
         composite_timeout_s: Time limit of a composite, its waiting included.
-        max_owner_sessions: Sessions of one token. Default: all, or half of them if there are several tokens.
+        max_owner_sessions: Sessions of one token. Default: all, or half of them if there are several tokens, or
+            phones that pair.
         max_owner_session_bytes: Memory that the sessions of one token may reach. Default: 384 MiB for each session.
         max_owner_probes: Named probes of one token, in all sessions.
         max_owner_rows: Rows of the panoramas of these probes.
         max_owner_late_probes: Points without a named probe that are being computed or waiting for one token.
         max_owner_pending_bytes: Share of one token in `max_pending_bytes`. Default: all, or half of it if there are
-            several tokens.
+            several tokens, or phones that pair.
         drain_s: Time after SIGTERM in which `/readyz` answers 503 and connections are still accepted.
         history_bytes: Memory of a session's history: pictures and light of its processed frames. 0 keeps none.
         max_recording_bytes: Largest uploaded recording.

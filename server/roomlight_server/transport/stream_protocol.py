@@ -88,6 +88,8 @@ class StreamProtocol(WatchedWriting, WebSocketsSansIOProtocol):
     async def send(self, message: Any) -> None:
         """Send a message of the application; after a close frame, parse what the client sent before."""
         await super().send(message)
+        if message["type"] == "websocket.http.response.body" and self.close_sent:
+            self.handshake_complete = True  # uvicorn logs an error without it
         if self.close_sent:
             self._parse()
 

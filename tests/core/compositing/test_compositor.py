@@ -350,6 +350,8 @@ def test_estimated_depth_is_near_only_where_two_frames_show_it():
         results.append(float((depth_filter.push(frame) / clean.depth_m).mean()))
     assert min(results[:5]) > 0.95
     assert results[5] == pytest.approx(0.5)
+    later = replace(clean, index=66, depth_m=clean.depth_m * np.float32(0.3), depth_estimated=True)
+    assert float((depth_filter.push(later) / clean.depth_m).mean()) == pytest.approx(0.3)  # 2 s tell nothing
 
 
 def test_gaps_between_reprojected_pixels_are_filled_and_what_was_not_seen_is_not():

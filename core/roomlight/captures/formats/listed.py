@@ -112,5 +112,5 @@ def probes_of(index: dict[str, Any], key: str, source: FolderSource, label: str)
 
 
 def first_folder(source: FolderSource, *folders: str) -> str:
-    """Return the first of these folders that has an entry; the first if none has."""
-    return next((folder for folder in folders if next(iter(source.names(folder)), None) is not None), folders[0])
+    """Return the first of these folders that holds files; the first if none does."""
+    return next(filter(source.holds_files, folders), folders[0])

@@ -36,6 +36,8 @@ where two frames show them, the visible share of objects in a Kinect's film diff
 MAX_HELD: Final = 10
 """Frames that depth is held for where the sensor stops giving it."""
 MAX_DEPTH_WIDTH: Final = 320
+_LONG_AGO: Final = 0.99
+"""Share of a change, 0.6 s later, from which on the frame before tells nothing of this one."""
 _AROUND: Final = 4
 """Known neighbours, of 8, of a pixel that is a gap of reprojection; elsewhere nothing was seen."""
 
@@ -101,7 +103,7 @@ class DepthFilter:
         """
         depth = reduced(frame.depth_m, max_width)
         near = SAME_ESTIMATED if frame.depth_estimated else SAME_SURFACE
-        previous, age = np.zeros_like(depth), np.zeros_like(depth)
+        previous, age, share = np.zeros_like(depth), np.zeros_like(depth), np.float32(1)
         if self._before is not None:
             previous, previous_age = self._before.seen_by(frame, depth.shape)
             share = np.float32(share_of(elapsed_s(self._before.frame, frame), DEPTH_S))
@@ -111,7 +113,9 @@ class DepthFilter:
             blended = previous + share * (depth - previous)
             depth = np.where(same, blended, np.where(gone, previous, depth)).astype(np.float32)
         self._before = _AgedDepth(frame, depth, age)
-        return np.maximum(depth, without_gaps(previous)) if frame.depth_estimated else depth
+        if frame.depth_estimated and share < _LONG_AGO:
+            return np.maximum(depth, without_gaps(previous))
+        return depth
 
 
 def without_gaps(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
