@@ -30,7 +30,7 @@ def fill_points(depth, lens, camera_to_world, out, start, stop):
 
 
 _WIDE = 5
-"""Pixels to each side that tell the normal of a plane where the next ones do not."""
+"""Pixels to each side that tell the normal of a plane where the next ones do not, if they lie on it too."""
 
 
 @njit(**CACHED, fastmath=True)
@@ -81,9 +81,12 @@ def fill_surfaces(raw, depth, eye, planes, tolerance, points, normals, start, st
                 if abs(rise) >= near:
                     continue
                 flat = x * n[0] + y * n[1] + z * n[2] > np.float32(0.7)
-                if not flat:  # a sensor's steps of depth tilt neighbours
+                if not flat:  # a sensor's steps of depth tilt neighbours; low things on the plane rise beyond `near`
                     wx, wy, wz = _normal(raw, i, j, _WIDE)
                     flat = wx * n[0] + wy * n[1] + wz * n[2] > np.float32(0.7)
+                    for di, dj in ((-_WIDE, 0), (_WIDE, 0), (0, -_WIDE), (0, _WIDE)):
+                        p = raw[min(max(i + di, 0), raw.shape[0] - 1), min(max(j + dj, 0), raw.shape[1] - 1)]
+                        flat &= abs((p[0] - q[0]) * n[0] + (p[1] - q[1]) * n[1] + (p[2] - q[2]) * n[2]) < near
                 if flat:
                     above_eye = (eye[0] - q[0]) * n[0] + (eye[1] - q[1]) * n[1] + (eye[2] - q[2]) * n[2]
                     fall = above_eye - rise
