@@ -208,13 +208,19 @@ def upsample_ratio(ratio, known, depth, fine_depth, step, edge, out, start, stop
                 out[i, j, 0], out[i, j, 1], out[i, j, 2] = one + red * scale, one + green * scale, one + blue * scale
 
 
+@njit(**JIT)
+def _clipped_share(value, low, high):
+    """Return how far a channel is clipped: 0 up to `low`, 1 from `high` on."""
+    return min(max((value - low) / (high - low), np.float32(0)), np.float32(1))
+
+
 @njit(**KERNEL)
 def fill_clipped_share(image, low, high, out):
     """Fill [h, w] with how far all channels are clipped: 0 at `low` or below, 1 at `high`."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             least = min(image[i, j, 0], image[i, j, 1], image[i, j, 2])
-            out[i, j] = min(max((least - low) / (high - low), np.float32(0)), np.float32(1))
+            out[i, j] = _clipped_share(least, low, high)
 
 
 @njit(**KERNEL)
@@ -270,7 +276,7 @@ def restore_clipped(ratio, image, low, high, excess, unclipped):
                 continue
             mean = np.float32(0)
             for axis in range(3):
-                share = min(max((image[i, j, axis] - low) / (high - low), np.float32(0)), one)
+                share = _clipped_share(image[i, j, axis], low, high)
                 mean += excess[i, j] * share / np.float32(3)
             if mean < np.float32(1e-3):
                 continue
@@ -280,7 +286,7 @@ def restore_clipped(ratio, image, low, high, excess, unclipped):
             for axis in range(3):
                 r = ratio[i, j, axis]
                 if r < one:
-                    share = min(max((image[i, j, axis] - low) / (high - low), np.float32(0)), one)
+                    share = _clipped_share(image[i, j, axis], low, high)
                     own = min(unclipped[i, j, axis] * per_unclipped - one, np.float32(2) * excess[i, j])
                     m = max(alone * share * own, mean)
                     ratio[i, j, axis] += r * m * (one - math.exp((one - one / r) / m))

@@ -85,11 +85,10 @@ def fitted_to_supports(
         return depth_m
     log_depth += factors / weights
     fitted = np.where(known, np.exp(log_depth), np.float32(0))
-    gaps = [np.where(away < ON_PLANE_RADII, np.abs(np.log(plane_m) - log_depth), np.inf) for plane_m, away in zones]
-    least = np.min(gaps, axis=0)  # depth goes to the nearest plane alone: others would cut what stands on it to pieces
-    for (plane_m, _), gap in zip(zones, gaps, strict=True):
-        nearer = np.log(plane_m) - log_depth
-        near = known & np.isfinite(gap) & (gap == least) & (nearer > -FARTHER)
+    ratios = [np.where(away < ON_PLANE_RADII, np.log(plane_m) - log_depth, np.inf) for plane_m, away in zones]
+    least = np.min(np.abs(ratios), axis=0)  # to the nearest plane alone: others would cut what stands on it to pieces
+    for (plane_m, _), nearer in zip(zones, ratios, strict=True):
+        near = known & (np.abs(nearer) == least) & (nearer > -FARTHER)
         on_plane, doubtful = near & (nearer < NEARER), near & (nearer >= NEARER) & (nearer < DOUBTFUL)
         if doubtful.any():
             others_m = geometry.depth_image(camera, frame.camera_to_world, doubtful)

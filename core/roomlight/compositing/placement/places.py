@@ -41,7 +41,7 @@ SUPPORT_TOLERANCE_M: Final = 0.015
 SUPPORT_ESTIMATED: Final = 4.0
 SUPPORT_ESTIMATED_DEGREES: Final = 30.0
 """Where depth is estimated both are this many times as large, and the surface leans by up to this, not `SNAP_DEGREES`.
-Without it pictures on walls lost up to 40 % of their pixels behind their own wall."""
+Without it pictures on walls lost up to 60 % of their pixels behind their own wall."""
 _LEAST_POINTS: Final = 8
 _TRIPLES: Final = 96
 _MAX_FITTED: Final = 3000
